@@ -47,34 +47,48 @@ impl RequestAuth {
                 "the address lacks the token: use the address that crumple printed at its start",
             ));
         }
-        let all = |name: &HeaderName| {
-            headers
-                .get_all(name)
-                .iter()
-                .map(|value| value.to_str().unwrap_or_default())
-                .collect::<Vec<_>>()
-        };
-        let is_own = |host: &str| self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host));
-        if !matches!(all(&HOST)[..], [host] if is_own(host)) {
+        let is_own_host =
+            matches!(header_values(headers, &HOST)[..], [host] if self.is_own_host(host));
+        if !is_own_host {
             return Err(RequestError::Forbidden(
                 "the request names another host: use the address that crumple printed",
             ));
         }
-        let is_own_page = |origin: &&str| origin.strip_prefix("http://").is_some_and(is_own);
-        let is_own_site = |site: &&str| ["same-origin", "none"].contains(site);
-        if !all(&ORIGIN).iter().all(is_own_page) || !all(&SEC_FETCH_SITE).iter().all(is_own_site) {
+        let is_own_page = header_values(headers, &ORIGIN).iter().all(|origin| {
+            origin
+                .strip_prefix("http://")
+                .is_some_and(|host| self.is_own_host(host))
+        });
+        let is_own_site = header_values(headers, &SEC_FETCH_SITE)
+            .iter()
+            .all(|site| ["same-origin", "none"].contains(site));
+        if !is_own_page || !is_own_site {
             return Err(RequestError::Forbidden(
                 "the request comes from a page of another origin",
             ));
         }
         Ok(rest)
     }
+
+    fn is_own_host(&self, host: &str) -> bool {
+        self.hosts.iter().any(|own| own.eq_ignore_ascii_case(host))
+    }
+}
+
+/// Returns the values of a header; empty for those that are not text.
+fn header_values<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Vec<&'h str> {
+    headers
+        .get_all(name)
+        .iter()
+        .map(|value| value.to_str().unwrap_or_default())
+        .collect()
 }
 
 fn is_equal_constant_time(text: &[u8], wanted: &[u8]) -> bool {
-    let difference = text.iter().zip(wanted).fold(0, |difference, (one, other)| {
-        black_box(difference | (one ^ other))
-    });
+    let difference = text
+        .iter()
+        .zip(wanted)
+        .fold(0, |difference, (a, b)| black_box(difference | (a ^ b)));
     text.len() == wanted.len() && difference == 0
 }
 
@@ -95,14 +109,14 @@ mod tests {
     }
 
     #[test]
-    fn tokens_are_long_and_never_the_same() {
-        let [one, other] = [RequestAuth::new(1).unwrap(), RequestAuth::new(1).unwrap()];
-        assert_eq!(one.token.len(), 2 * TOKEN_BYTES);
-        assert_ne!(one.token, other.token);
+    fn tokens_are_long_and_differ() {
+        let [first, second] = [RequestAuth::new(1).unwrap(), RequestAuth::new(1).unwrap()];
+        assert_eq!(first.token.len(), 2 * TOKEN_BYTES);
+        assert_ne!(first.token, second.token);
     }
 
     #[test]
-    fn only_the_own_page_at_the_own_address_is_let_in() {
+    fn only_requests_of_the_own_page_are_authorized() {
         let gate = RequestAuth::new(8080).unwrap();
         let path = format!("/{}/api/run", gate.token);
         let own = ("host", "127.0.0.1:8080");
@@ -153,7 +167,7 @@ mod tests {
 
         /// Any other text in place of the token is refused.
         #[test]
-        fn nothing_but_the_token_will_do(
+        fn any_text_but_the_token_is_refused(
             path in "/?[0-9a-f]{0,70}(/[a-z/.]{0,20})?",
             change in 0..64_usize,
             to in "[0-9a-f]",

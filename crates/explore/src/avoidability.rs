@@ -1,6 +1,6 @@
 //! Avoidability of a collision.
 
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Escape, avoid};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
@@ -23,20 +23,10 @@ pub(crate) struct AvoidabilityResponse {
 pub(crate) fn check_avoidability(
     scenario: &Scenario,
 ) -> Result<AvoidabilityResponse, RequestError> {
-    let found = avoid(scenario, AvoidOptions::default())
+    let avoidance = avoid(scenario, AvoidOptions::default())
         .map_err(|error| RequestError::invalid("scenario", error))?;
-    let mut escape_figure = String::new();
-    let answer = match &found.verdict {
+    let answer = match &avoidance.verdict {
         AvoidanceVerdict::Avoidable(escape) => {
-            let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()))
-                .with_estimator(EstimatorKind::Truth);
-            let run = Run::new(&escape.scenario, options)
-                .map_err(|error| RequestError::Internal(error.to_string()))?;
-            escape_figure = render_replay(
-                &escape.scenario,
-                &simulate(&run, RecordingLevel::Trace),
-                "An escape",
-            );
             format!(
                 "Yes: this escape keeps {:.2} m. A driver with knowledge of the future can drive like this.",
                 (100.0 * escape.min_gap_m).floor() / 100.0
@@ -48,16 +38,30 @@ pub(crate) fn check_avoidability(
         }
         AvoidanceVerdict::Undecided(reason) => format!("Undecided: {reason}"),
     };
-    let bound = found.min_gap_bound_m.map(|bound_m| {
+    let bound = avoidance.min_gap_bound_m.map(|bound_m| {
         format!(
             "No driver keeps more than {:.2} m. This is a computed bound without a certificate.",
             (100.0 * bound_m).ceil() / 100.0
         )
     });
     let sentences = [answer].into_iter().chain(bound).collect();
+    let escape = avoidance.verdict.escape();
     Ok(AvoidabilityResponse {
-        verdict: found.verdict.name(),
+        verdict: avoidance.verdict.name(),
         sentences,
-        escape_figure,
+        escape_figure: escape.map_or(Ok(String::new()), render_escape)?,
     })
+}
+
+/// Renders an escape, whose vehicles follow scripts, so that the controller of the run has no influence.
+fn render_escape(escape: &Escape) -> Result<String, RequestError> {
+    let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()))
+        .with_estimator(EstimatorKind::Truth);
+    let run = Run::new(&escape.scenario, options)
+        .map_err(|error| RequestError::Internal(error.to_string()))?;
+    Ok(render_replay(
+        &escape.scenario,
+        &simulate(&run, RecordingLevel::Trace),
+        "An escape",
+    ))
 }

@@ -87,69 +87,24 @@ impl ExploreConfig {
             campaigns,
             controllers_of_files,
         } = self;
-        if controllers.len() > Self::MAX_CONTROLLERS {
-            return Err(ExploreConfigError::TooManyControllers {
-                found: controllers.len(),
-            });
-        }
-        let names: Vec<&str> = controllers
-            .iter()
-            .map(|controller| controller.name.as_str())
-            .collect();
-        if let Some(name) = (1..names.len()).find_map(|index| {
-            names
-                .get(index)
-                .filter(|name| names.iter().take(index).any(|known| known == *name))
-        }) {
-            return Err(ExploreConfigError::DuplicateController {
-                name: (*name).to_owned(),
-            });
-        }
-        let campaigns = campaigns.into_iter().map(|folder| {
-            Ok(CatalogCampaign {
-                name: folder.display().to_string(),
-                reader: CampaignReader::open(&folder, controllers_of_files)?,
+        check_compared_controllers(&controllers)?;
+        let campaigns = campaigns
+            .into_iter()
+            .map(|folder| {
+                Ok(CatalogCampaign {
+                    name: folder.display().to_string(),
+                    reader: CampaignReader::open(&folder, controllers_of_files)?,
+                })
             })
-        });
-        let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
+            .collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
             controllers.extend(
                 BuiltInController::from_name(DEFAULT_CONTROLLER).map(NamedController::from),
             );
         }
         let selected_controllers = controllers.len();
-        for (name, _) in built_in_scenario_names() {
-            if let (Some(scenario), false) = (
-                built_in_scenario(name),
-                scenarios.iter().any(|offered| offered.name == *name),
-            ) {
-                scenarios.push(CatalogScenario {
-                    name: (*name).to_owned(),
-                    scenario,
-                });
-            }
-        }
-        for built_in in BuiltInController::all()
-            .into_iter()
-            .map(NamedController::from)
-        {
-            if !controllers
-                .iter()
-                .any(|offered| offered.name == built_in.name)
-            {
-                controllers.push(built_in);
-            }
-        }
-        // Only built-in controllers of campaigns are added: a campaign must not add a command or file to the catalog.
-        for campaign in &campaigns {
-            let name = campaign.reader.controller();
-            if let (false, Some(Ok(spec))) = (
-                controllers.iter().any(|offered| offered.name == name),
-                BuiltInController::parse(name),
-            ) {
-                controllers.push(spec.into());
-            }
-        }
+        add_built_in_scenarios(&mut scenarios);
+        add_built_in_controllers(&mut controllers, &campaigns);
         let opened_drivers = Mutex::default();
         Ok(Catalog {
             scenarios,
@@ -159,6 +114,65 @@ impl ExploreConfig {
             campaigns,
             opened_drivers,
         })
+    }
+}
+
+/// Checks that there are few enough controllers to compare, and that their names differ.
+fn check_compared_controllers(controllers: &[NamedController]) -> Result<(), ExploreConfigError> {
+    if controllers.len() > ExploreConfig::MAX_CONTROLLERS {
+        return Err(ExploreConfigError::TooManyControllers {
+            found: controllers.len(),
+        });
+    }
+    for (index, controller) in controllers.iter().enumerate() {
+        if has_controller(controllers.iter().take(index), &controller.name) {
+            return Err(ExploreConfigError::DuplicateController {
+                name: controller.name.clone(),
+            });
+        }
+    }
+    Ok(())
+}
+
+fn has_controller<'c>(
+    controllers: impl IntoIterator<Item = &'c NamedController>,
+    name: &str,
+) -> bool {
+    controllers
+        .into_iter()
+        .any(|controller| controller.name == name)
+}
+
+fn add_built_in_scenarios(scenarios: &mut Vec<CatalogScenario>) {
+    for (name, _) in built_in_scenario_names() {
+        let is_listed = scenarios.iter().any(|listed| listed.name == *name);
+        if let (Some(scenario), false) = (built_in_scenario(name), is_listed) {
+            scenarios.push(CatalogScenario {
+                name: (*name).to_owned(),
+                scenario,
+            });
+        }
+    }
+}
+
+/// Adds all built-in controllers, and those of the campaigns. A campaign must not add a command or file to the catalog.
+fn add_built_in_controllers(controllers: &mut Vec<NamedController>, campaigns: &[CatalogCampaign]) {
+    for built_in in BuiltInController::all()
+        .into_iter()
+        .map(NamedController::from)
+    {
+        if !has_controller(&*controllers, &built_in.name) {
+            controllers.push(built_in);
+        }
+    }
+    for campaign in campaigns {
+        let name = campaign.reader.controller();
+        if let (false, Some(Ok(spec))) = (
+            has_controller(&*controllers, name),
+            BuiltInController::parse(name),
+        ) {
+            controllers.push(spec.into());
+        }
     }
 }
 
@@ -175,19 +189,21 @@ impl Catalog {
             );
             return Err(RequestError::invalid("controllers", problem));
         }
-        let offered = |(index, name): (usize, &String)| {
-            let found = self
-                .controllers
-                .iter()
-                .find(|offered| offered.name == *name);
-            found.ok_or_else(|| {
-                RequestError::invalid(
-                    format!("controllers[{index}]"),
-                    format!("`{name}` is not available: start crumple with --controller"),
-                )
+        names
+            .iter()
+            .enumerate()
+            .map(|(index, name)| {
+                self.controllers
+                    .iter()
+                    .find(|controller| controller.name == *name)
+                    .ok_or_else(|| {
+                        RequestError::invalid(
+                            format!("controllers[{index}]"),
+                            format!("`{name}` is not available: start crumple with --controller"),
+                        )
+                    })
             })
-        };
-        names.iter().enumerate().map(offered).collect()
+            .collect()
     }
 
     /// Registers the drivers from files in a scenario of a campaign, so that later requests with this scenario may name
@@ -211,20 +227,22 @@ impl Catalog {
             .opened_drivers
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let offered = self
+        let listed = self
             .scenarios
             .iter()
-            .flat_map(|offered| file_drivers(&offered.scenario));
-        let known: Vec<&FileDriver> = offered.chain(opened.iter()).collect();
+            .flat_map(|listed| file_drivers(&listed.scenario));
+        let allowed: Vec<&FileDriver> = listed.chain(opened.iter()).collect();
         for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
-                let found = known.iter().find(|known| **known == file).ok_or_else(|| {
-                    let field = format!("scenario.vehicles[{index}].driver.file.path");
-                    let problem =
-                        "only the drivers of scenarios that were given at the start are allowed";
-                    RequestError::invalid(field, problem)
-                })?;
-                *file = (*found).clone();
+                let driver = allowed
+                    .iter()
+                    .find(|driver| **driver == file)
+                    .ok_or_else(|| {
+                        let field = format!("scenario.vehicles[{index}].driver.file.path");
+                        let problem = "only the drivers of scenarios that were given at the start are allowed";
+                        RequestError::invalid(field, problem)
+                    })?;
+                *file = (*driver).clone();
             }
         }
         Ok(())

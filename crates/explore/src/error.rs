@@ -86,7 +86,7 @@ impl From<FileError> for RequestError {
     fn from(error: FileError) -> Self {
         match error {
             FileError::Syntax { line, message, .. } => Self::Malformed { line, message },
-            other => Self::Internal(other.to_string()),
+            unreadable => Self::Internal(unreadable.to_string()),
         }
     }
 }
@@ -96,7 +96,7 @@ impl From<ScenarioFileError> for RequestError {
         match error {
             ScenarioFileError::File(error) => error.into(),
             ScenarioFileError::Invalid { invalid, .. } => invalid.into(),
-            other => Self::Internal(other.to_string()),
+            unreadable => Self::Internal(unreadable.to_string()),
         }
     }
 }

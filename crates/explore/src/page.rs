@@ -16,56 +16,19 @@ pub(crate) fn style_sheet() -> String {
 
 pub(crate) const SCRIPT: &str = include_str!("explore.js");
 
-pub(crate) fn scenario_page(offer: &Catalog) -> String {
-    let classes = VehicleClass::ALL.iter().map(|one| {
-        json!({ "name": one.name(), "max_brake_mps2": one.max_brake_mps2(), "max_accel_mps2": one.max_accel_mps2() })
+pub(crate) fn scenario_page(catalog: &Catalog) -> String {
+    let classes = VehicleClass::ALL.iter().map(|class| {
+        json!({
+            "name": class.name(),
+            "max_brake_mps2": class.max_brake_mps2(),
+            "max_accel_mps2": class.max_accel_mps2(),
+        })
     });
-    let start = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": ExploreConfig::MAX_CONTROLLERS });
+    let initial = json!({ "classes": classes.collect::<Vec<_>>(), "most_controllers": ExploreConfig::MAX_CONTROLLERS });
     let content = html! {
         h1.unseen { "Scenario" }
         div.bench {
-            form.controls id="controls" aria-label="What happens" {
-                label { "Scenario "
-                    select id="scenario" {
-                        @for (index, offered) in offer.scenarios.iter().enumerate() {
-                            option value=(index) { (TerminalText(&offered.name)) }
-                        }
-                    }
-                }
-                p.hint id="about" hidden {}
-                fieldset { legend { "Road" } div id="road" {} }
-                div id="vehicles" {}
-                fieldset {
-                    legend { "Acceleration of vehicle 0" }
-                    div id="lead" {}
-                    p.hint id="lead-help" { "Draw the acceleration with the pointer. With the keyboard, select a time \
-                    with ← and →, and change the value with ↑ and ↓." }
-                    button type="button" id="lead-back" { "As in the scenario" }
-                }
-                fieldset id="chosen" {
-                    legend { "Controllers to compare" }
-                    @for (index, controller) in offer.controllers.iter().enumerate() {
-                        @let name = TerminalText(&controller.name);
-                        label.choice {
-                            input type="checkbox" value=(controller.name) checked[index < offer.selected_controllers];
-                            " " (name)
-                        }
-                    }
-                }
-                label { "Estimator "
-                    select id="estimator" {
-                        @for kind in EstimatorKind::ALL {
-                            option value=(kind.name()) selected[kind == offer.estimator] { (kind.name()) }
-                        }
-                    }
-                }
-                label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
-                div.buttons {
-                    button type="button" id="download" { "Download" }
-                    button type="button" id="reset" { "Begin anew" }
-                }
-                p id="saved" role="status" {}
-            }
+            (scenario_controls(catalog))
             section.seen aria-label="Result" {
                 p.bad id="error" role="alert" hidden {}
                 div id="verdicts" {}
@@ -76,27 +39,79 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
             }
         }
     };
-    document("scenario", "Scenario", &start, &content)
+    document("scenario", "Scenario", &initial, &content)
 }
 
-pub(crate) fn campaigns_page(offer: &Catalog) -> String {
-    let names = || offer.campaigns.iter().enumerate();
+/// Returns the form that chooses and edits a scenario, its controllers and its estimator.
+fn scenario_controls(catalog: &Catalog) -> Markup {
+    html! {
+        form.controls id="controls" aria-label="What happens" {
+            label { "Scenario "
+                select id="scenario" {
+                    @for (index, scenario) in catalog.scenarios.iter().enumerate() {
+                        option value=(index) { (TerminalText(&scenario.name)) }
+                    }
+                }
+            }
+            p.hint id="about" hidden {}
+            fieldset { legend { "Road" } div id="road" {} }
+            div id="vehicles" {}
+            fieldset {
+                legend { "Acceleration of vehicle 0" }
+                div id="lead" {}
+                p.hint id="lead-help" { "Draw the acceleration with the pointer. With the keyboard, select a time \
+                with ← and →, and change the value with ↑ and ↓." }
+                button type="button" id="lead-back" { "As in the scenario" }
+            }
+            fieldset id="chosen" {
+                legend { "Controllers to compare" }
+                @for (index, controller) in catalog.controllers.iter().enumerate() {
+                    @let name = TerminalText(&controller.name);
+                    label.choice {
+                        input type="checkbox" value=(controller.name) checked[index < catalog.selected_controllers];
+                        " " (name)
+                    }
+                }
+            }
+            label { "Estimator "
+                select id="estimator" {
+                    @for kind in EstimatorKind::ALL {
+                        option value=(kind.name()) selected[kind == catalog.estimator] { (kind.name()) }
+                    }
+                }
+            }
+            label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
+            div.buttons {
+                button type="button" id="download" { "Download" }
+                button type="button" id="reset" { "Begin anew" }
+            }
+            p id="saved" role="status" {}
+        }
+    }
+}
+
+pub(crate) fn campaigns_page(catalog: &Catalog) -> String {
+    let campaigns = &catalog.campaigns;
     let content = html! {
         h1.unseen { "Campaigns" }
-        @if offer.campaigns.is_empty() {
+        @if campaigns.is_empty() {
             p { "No campaign was given. Start crumple with the folder of a campaign:" }
             p { code { "crumple explore runs/match-leader" } }
         } @else {
             form.filters id="filters" aria-label="Selection" {
                 label { "Campaign "
                     select id="campaign" {
-                        @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } }
+                        @for (index, campaign) in campaigns.iter().enumerate() {
+                            option value=(index) { (TerminalText(&campaign.name)) }
+                        }
                     }
                 }
                 label { "Compare with "
                     select id="against" {
                         option value="" { "none" }
-                        @for (index, campaign) in names() { option value=(index) { (TerminalText(&campaign.name)) } }
+                        @for (index, campaign) in campaigns.iter().enumerate() {
+                            option value=(index) { (TerminalText(&campaign.name)) }
+                        }
                     }
                 }
                 label { "Map x axis " select id="across" {} }
@@ -137,8 +152,8 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     nav {
                         @let links = [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns")];
-                        @for (name, address, words) in links {
-                            a href=(address) aria-current=[(name == page).then_some("page")] { (words) } " "
+                        @for (name, address, label) in links {
+                            a href=(address) aria-current=[(name == page).then_some("page")] { (label) } " "
                         }
                     }
                 }

@@ -8,7 +8,7 @@ use crumple_report::draw::{
 use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
-use crumple_sim::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
+use crumple_sim::scenario::{Driver, LeadProfile, Scenario};
 use maud::html;
 use serde::Serialize;
 
@@ -66,10 +66,10 @@ struct LeadPad {
 
 pub(crate) fn run_and_render(
     mut request: RunRequest,
-    offer: &Catalog,
+    catalog: &Catalog,
 ) -> Result<RunResponse, RequestError> {
-    let scenario = request.take_scenario(offer)?;
-    let controllers = offer.find_controllers(&request.controllers)?;
+    let scenario = request.take_scenario(catalog)?;
+    let controllers = catalog.find_controllers(&request.controllers)?;
     let mut runs = Vec::new();
     for controller in &controllers {
         let options = RunOptions::new(controller.source.clone()).with_estimator(request.estimator);
@@ -92,18 +92,26 @@ fn render_panel(
     scenario: &Scenario,
     run: &SimulationResult,
 ) -> RunPanel {
-    let (verdict, words) = match &run.outcome {
-        Outcome::Collision(contact) => (
-            "collision",
-            format!(
-                "✗ Collision at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-                contact.time_s,
-                contact.rear_vehicle,
-                contact.front_vehicle,
-                contact.impact_speed_mps
-            ),
+    RunPanel {
+        controller: escape_text(&controller.name),
+        verdict: match &run.outcome {
+            Outcome::Collision(_) => "collision",
+            Outcome::ControllerFailed(_) => "failed",
+            Outcome::NoCollision => "safe",
+        },
+        summary: escape_text(&describe_outcome(scenario, run)),
+        notes: run_notes(controller, scenario, run),
+        contact_time_s: run.outcome.contact().map(|contact| contact.time_s),
+    }
+}
+
+fn describe_outcome(scenario: &Scenario, run: &SimulationResult) -> String {
+    match &run.outcome {
+        Outcome::Collision(contact) => format!(
+            "✗ Collision at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
+            contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
         ),
-        Outcome::ControllerFailed(failed) => ("failed", format!("✗ Controller failed: {failed}")),
+        Outcome::ControllerFailed(failed) => format!("✗ Controller failed: {failed}"),
         Outcome::NoCollision => {
             let closest = run
                 .vehicles
@@ -115,12 +123,17 @@ fn render_panel(
             } else {
                 String::new()
             };
-            (
-                "safe",
-                format!("✓ No collision in {} s{gap}", scenario.spec().duration_s),
-            )
+            format!("✓ No collision in {} s{gap}", scenario.spec().duration_s)
         }
-    };
+    }
+}
+
+/// Returns what limits the meaning of a run, and which vehicles under test brake unnecessarily.
+fn run_notes(
+    controller: &NamedController,
+    scenario: &Scenario,
+    run: &SimulationResult,
+) -> Vec<String> {
     let mut notes = Vec::new();
     if !scenario.has_vehicle_under_test() {
         notes.push("no vehicle is under test: the drivers of the scenario drive".to_owned());
@@ -144,14 +157,7 @@ fn render_panel(
             ));
         }
     }
-    let contact_time_s = run.outcome.contact().map(|contact| contact.time_s);
-    RunPanel {
-        controller: escape_text(&controller.name),
-        verdict,
-        summary: escape_text(&words),
-        notes,
-        contact_time_s,
-    }
+    notes
 }
 
 /// Escapes invisible characters in foreign text.
@@ -175,7 +181,7 @@ fn render_figures(
         (false, 1) => PanelArrangement::Wide,
         (false, _) => PanelArrangement::Column,
     };
-    let drawn = html! {
+    let markup = html! {
         div.side-by-side data-columns=(if narrow { 1 } else { traced.len().min(2) }) {
             @for (index, (controller, run, trace)) in traced.iter().enumerate() {
                 @let prefix = format!("motion-{index}");
@@ -186,7 +192,7 @@ fn render_figures(
             }
         }
     };
-    TerminalLines(&drawn.into_string()).to_string()
+    TerminalLines(&markup.into_string()).to_string()
 }
 
 /// Renders the diagrams of a run with the scenario's own drivers.
@@ -210,23 +216,27 @@ impl Sliders {
         let spec = scenario.spec();
         let gaps_m = gaps_m(spec);
         let names = vehicle_names(scenario);
-        let vehicle = |(index, vehicle): (usize, &VehicleSpec)| VehicleSliders {
-            name: names.get(index).cloned().unwrap_or_default(),
-            class: vehicle.class.name(),
-            driver: match &vehicle.driver {
-                Driver::Controller(controller) => controller.to_arg(),
-                driver => driver.name().to_owned(),
-            },
-            gap_m: index
-                .checked_sub(1)
-                .and_then(|before| gaps_m.get(before).copied()),
-            speed_mps: vehicle.speed_mps,
-        };
+        let vehicles = spec
+            .vehicles
+            .iter()
+            .enumerate()
+            .map(|(index, vehicle)| VehicleSliders {
+                name: names.get(index).cloned().unwrap_or_default(),
+                class: vehicle.class.name(),
+                driver: match &vehicle.driver {
+                    Driver::Controller(controller) => controller.to_arg(),
+                    driver => driver.name().to_owned(),
+                },
+                gap_m: index
+                    .checked_sub(1)
+                    .and_then(|before| gaps_m.get(before).copied()),
+                speed_mps: vehicle.speed_mps,
+            });
         Self {
             name: spec.name.clone(),
             duration_s: spec.duration_s,
             friction: spec.environment.friction,
-            vehicles: spec.vehicles.iter().enumerate().map(vehicle).collect(),
+            vehicles: vehicles.collect(),
             lead: LeadPad::new(scenario),
         }
     }
@@ -234,7 +244,8 @@ impl Sliders {
 
 impl LeadPad {
     fn new(scenario: &Scenario) -> Self {
-        let (spec, steps) = (scenario.spec(), scenario.steps());
+        let spec = scenario.spec();
+        let steps = scenario.steps();
         let cell_steps = steps.div_ceil(MAX_PAD_CELLS).max(1);
         let lead = spec.vehicles.first();
         let script = lead.and_then(|lead| match &lead.driver {
@@ -266,16 +277,17 @@ fn mean_accelerations(
 ) -> Vec<f64> {
     let mut means = Vec::new();
     for first in (0..steps).step_by(cell_steps) {
-        let here = first..steps.min(first + cell_steps);
-        let (mut sum, count) = (0.0, here.len() as f64);
-        for step in here {
-            let asked = profile.acceleration_mps2(
+        let cell = first..steps.min(first + cell_steps);
+        let count = cell.len() as f64;
+        let mut sum = 0.0;
+        for step in cell {
+            let accel_mps2 = profile.acceleration_mps2(
                 step as f64 * step_s,
                 (step + 1) as f64 * step_s,
                 speed_mps,
             );
-            sum += asked;
-            speed_mps = (speed_mps + asked * step_s).max(0.0);
+            sum += accel_mps2;
+            speed_mps = (speed_mps + accel_mps2 * step_s).max(0.0);
         }
         means.push((1e6 * sum / count).round() / 1e6 + 0.0);
     }

@@ -71,16 +71,21 @@ pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, RequestE
 }
 
 impl EditedScenario {
-    pub(crate) fn into_scenario(self, offer: &Catalog) -> Result<Scenario, RequestError> {
-        apply_edits(self.scenario, self.edits, 1, offer)
+    pub(crate) fn into_scenario(self, catalog: &Catalog) -> Result<Scenario, RequestError> {
+        apply_edits(self.scenario, self.edits, 1, catalog)
     }
 }
 
 impl RunRequest {
     /// Returns the scenario with its edits, and takes the edits out.
-    pub(crate) fn take_scenario(&mut self, offer: &Catalog) -> Result<Scenario, RequestError> {
-        let (spec, edits) = (self.scenario.clone(), std::mem::take(&mut self.edits));
-        apply_edits(spec, edits, self.controllers.len(), offer)
+    pub(crate) fn take_scenario(&mut self, catalog: &Catalog) -> Result<Scenario, RequestError> {
+        let edits = std::mem::take(&mut self.edits);
+        apply_edits(
+            self.scenario.clone(),
+            edits,
+            self.controllers.len(),
+            catalog,
+        )
     }
 }
 
@@ -89,18 +94,18 @@ fn apply_edits(
     mut spec: ScenarioSpec,
     edits: Edits,
     runs: usize,
-    offer: &Catalog,
+    catalog: &Catalog,
 ) -> Result<Scenario, RequestError> {
-    offer.resolve_drivers(&mut spec)?;
+    catalog.resolve_drivers(&mut spec)?;
     edits.apply(&mut spec)?;
     let scenario = Scenario::new(spec).map_err(scenario_error)?;
-    let found = scenario
+    let vehicle_steps = scenario
         .steps()
         .saturating_mul(scenario.vehicles().len())
         .saturating_mul(runs.max(1));
-    if found > MAX_VEHICLE_STEPS {
+    if vehicle_steps > MAX_VEHICLE_STEPS {
         let problem = format!(
-            "asks for {found} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed"
+            "asks for {vehicle_steps} vehicle-steps over all controllers, and at most {MAX_VEHICLE_STEPS} are allowed"
         );
         return Err(RequestError::invalid("scenario.duration_s", problem));
     }
@@ -122,25 +127,7 @@ impl Edits {
             .any(|edit| edit.gap_m.is_some() || edit.class.is_some());
         let mut gaps_m = gaps_m(spec);
         for (index, edit) in self.vehicles.iter().enumerate() {
-            let Some(vehicle) = spec.vehicles.get_mut(edit.vehicle) else {
-                let problem = format!("there is no vehicle {} in the scenario", edit.vehicle);
-                return Err(RequestError::invalid(
-                    format!("edits.vehicles[{index}].vehicle"),
-                    problem,
-                ));
-            };
-            vehicle.class = edit.class.unwrap_or(vehicle.class);
-            vehicle.speed_mps = edit.speed_mps.unwrap_or(vehicle.speed_mps);
-            if let Some(gap_m) = edit.gap_m {
-                let gap = edit
-                    .vehicle
-                    .checked_sub(1)
-                    .and_then(|before| gaps_m.get_mut(before));
-                *gap.ok_or_else(|| {
-                    let field = format!("edits.vehicles[{index}].gap_m");
-                    RequestError::invalid(field, "no vehicle is ahead of the first vehicle")
-                })? = gap_m;
-            }
+            edit.apply(spec, &mut gaps_m, &format!("edits.vehicles[{index}]"))?;
         }
         if moves {
             place_vehicles(spec, &gaps_m);
@@ -155,6 +142,36 @@ impl Edits {
                 lead.jerk_limit_mps3,
             ) = (0.0, 0.0, 0.0, None);
             (lead.plant, lead.body) = Default::default();
+        }
+        Ok(())
+    }
+}
+
+impl VehicleEdit {
+    /// Changes class and speed in the scenario, and the gap in `gaps_m`. `field` is the path of this edit in errors.
+    fn apply(
+        &self,
+        spec: &mut ScenarioSpec,
+        gaps_m: &mut [f64],
+        field: &str,
+    ) -> Result<(), RequestError> {
+        let Some(vehicle) = spec.vehicles.get_mut(self.vehicle) else {
+            let problem = format!("there is no vehicle {} in the scenario", self.vehicle);
+            return Err(RequestError::invalid(format!("{field}.vehicle"), problem));
+        };
+        vehicle.class = self.class.unwrap_or(vehicle.class);
+        vehicle.speed_mps = self.speed_mps.unwrap_or(vehicle.speed_mps);
+        if let Some(gap_m) = self.gap_m {
+            let gap = self
+                .vehicle
+                .checked_sub(1)
+                .and_then(|before| gaps_m.get_mut(before));
+            *gap.ok_or_else(|| {
+                RequestError::invalid(
+                    format!("{field}.gap_m"),
+                    "no vehicle is ahead of the first vehicle",
+                )
+            })? = gap_m;
         }
         Ok(())
     }

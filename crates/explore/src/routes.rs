@@ -3,8 +3,9 @@
 use std::sync::{Mutex, TryLockError};
 
 use crumple_core::quoting::TerminalText;
+use crumple_search::falsify::campaign::CampaignReader;
 use crumple_sim::observation::EstimatorKind;
-use crumple_sim::scenario::ScenarioSpec;
+use crumple_sim::scenario::{Scenario, ScenarioSpec};
 use hyper::{Method, StatusCode};
 use serde::{Deserialize, Serialize};
 
@@ -65,10 +66,10 @@ struct SaveRequest {
 }
 
 impl Application {
-    pub(crate) fn new(gate: RequestAuth, offer: Catalog) -> Self {
+    pub(crate) fn new(auth: RequestAuth, catalog: Catalog) -> Self {
         Self {
-            auth: gate,
-            catalog: offer,
+            auth,
+            catalog,
             avoidability_lock: Mutex::new(()),
         }
     }
@@ -116,8 +117,8 @@ impl Application {
         }
     }
 
-    fn open(&self, wanted: &OpenRequest) -> Result<HttpResponse, RequestError> {
-        match wanted {
+    fn open(&self, request: &OpenRequest) -> Result<HttpResponse, RequestError> {
+        match request {
             OpenRequest {
                 scenario: Some(index),
                 campaign: None,
@@ -154,43 +155,17 @@ impl Application {
         counterexample: Option<usize>,
         evaluation: Option<usize>,
     ) -> Result<HttpResponse, RequestError> {
-        let offered = catalog::find(&self.catalog.campaigns, index, "campaign", "campaigns")?;
+        let reader =
+            &catalog::find(&self.catalog.campaigns, index, "campaign", "campaigns")?.reader;
         // A damaged campaign is not opened in part.
-        let look = &offered.reader;
         let scenario = match (counterexample, evaluation) {
-            (Some(place), None) => {
-                let found = look
-                    .counterexample(place)
-                    .map_err(campaign::campaign_error)?;
-                found.ok_or_else(|| {
+            (Some(index), None) => reader
+                .counterexample(index)
+                .map_err(campaign::campaign_error)?
+                .ok_or_else(|| {
                     RequestError::invalid("counterexample", "the campaign has no such failure")
-                })?
-            }
-            (None, Some(place)) => {
-                let found = look.evaluations().get(place);
-                let (method, evaluated) = found.ok_or_else(|| {
-                    RequestError::invalid(
-                        "evaluation",
-                        format!("{} are known", look.evaluations().len()),
-                    )
-                })?;
-                let scenario = look
-                    .scenario(&evaluated.values)
-                    .map_err(campaign::campaign_error)?;
-                let name = format!(
-                    "{}-{}-{}",
-                    look.space().name(),
-                    method.name(),
-                    evaluated.number
-                );
-                let about = format!(
-                    "Evaluation {} of {} in the space `{}`.",
-                    evaluated.number,
-                    method.name(),
-                    look.space().name()
-                );
-                scenario.edited(|spec| (spec.name, spec.about) = (name, about))?
-            }
+                })?,
+            (None, Some(index)) => evaluated_scenario(reader, index)?,
             _ => {
                 return Err(RequestError::invalid(
                     "campaign",
@@ -199,30 +174,34 @@ impl Application {
             }
         };
         self.catalog.register_drivers(&scenario);
-        let name = look.controller();
-        let offered = self
-            .catalog
-            .controllers
-            .iter()
-            .find(|controller| controller.name == name);
-        let is_offered = offered.is_some_and(|controller| look.is_for_controller(controller));
-        let reason = match offered {
-            None => "start with --controller",
-            Some(_) => "the controller of this name has another identity",
-        };
-        let note = (!is_offered).then(|| {
-            format!(
-                "The campaign is about {}, which is not available: {reason}",
-                TerminalText(name)
-            )
-        });
+        let unavailable = self.why_unavailable(reader);
         json_response(&OpenResponse {
             scenario: scenario.spec(),
             sliders: Sliders::new(&scenario),
-            controller: is_offered.then(|| name.to_owned()),
-            estimator: Some(look.estimator().name()),
-            note,
+            controller: unavailable
+                .is_none()
+                .then(|| reader.controller().to_owned()),
+            estimator: Some(reader.estimator().name()),
+            note: unavailable,
         })
+    }
+
+    /// Explains why the controller of a campaign is not available; none if it is.
+    fn why_unavailable(&self, reader: &CampaignReader) -> Option<String> {
+        let name = reader.controller();
+        let controllers = &self.catalog.controllers;
+        let reason = match controllers
+            .iter()
+            .find(|controller| controller.name == name)
+        {
+            Some(controller) if reader.is_for_controller(controller) => return None,
+            Some(_) => "the controller of this name has another identity",
+            None => "start with --controller",
+        };
+        Some(format!(
+            "The campaign is about {}, which is not available: {reason}",
+            TerminalText(name)
+        ))
     }
 
     fn avoid(&self, edited: EditedScenario) -> Result<HttpResponse, RequestError> {
@@ -240,10 +219,10 @@ impl Application {
 
     fn save(&self, save: SaveRequest) -> Result<HttpResponse, RequestError> {
         let scenario = save.edited.into_scenario(&self.catalog)?;
-        let named = self
+        let controllers = self
             .catalog
             .find_controllers(std::slice::from_ref(&save.controller))?;
-        let controller = named
+        let controller = controllers
             .first()
             .map_or("", |controller| controller.name.as_str());
         json_response(&SaveResponse::new(
@@ -252,6 +231,29 @@ impl Application {
             save.estimator.name(),
         )?)
     }
+}
+
+/// Returns the scenario of an evaluation of a campaign, with a name that says which.
+fn evaluated_scenario(reader: &CampaignReader, index: usize) -> Result<Scenario, RequestError> {
+    let Some((method, evaluated)) = reader.evaluations().get(index) else {
+        return Err(RequestError::invalid(
+            "evaluation",
+            format!("{} are known", reader.evaluations().len()),
+        ));
+    };
+    let scenario = reader
+        .scenario(&evaluated.values)
+        .map_err(campaign::campaign_error)?;
+    let space = reader.space().name();
+    let named = scenario.edited(|spec| {
+        spec.name = format!("{space}-{}-{}", method.name(), evaluated.number);
+        spec.about = format!(
+            "Evaluation {} of {} in the space `{space}`.",
+            evaluated.number,
+            method.name()
+        );
+    })?;
+    Ok(named)
 }
 
 impl HttpResponse {

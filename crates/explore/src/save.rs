@@ -68,7 +68,7 @@ mod tests {
 
         /// The file of a scenario with any name has the scenario, and a file name that is no path.
         #[test]
-        fn a_file_name_is_no_path(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {
+        fn file_names_contain_no_path(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {
             let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.name = name.clone()).unwrap();
             let saved = SaveResponse::new(&scenario, "idm", "truth").unwrap();
             let stem = saved.file_name.strip_suffix(".toml").unwrap();

@@ -14,7 +14,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use http_body_util::{BodyExt, Full};
 use hyper::body::Incoming;
-use hyper::header::{CONTENT_TYPE, HeaderValue};
+use hyper::header::{CONTENT_TYPE, HeaderMap, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response};
@@ -108,13 +108,14 @@ impl Server {
     ///
     /// # Errors
     /// [`ServeError`] if the server cannot listen or the configuration is invalid.
-    pub fn bind(port: u16, offer: ExploreConfig) -> Result<Self, ServeError> {
-        let offer = offer.into_catalog()?;
-        let unusable = |source| ServeError::Port { port, source };
-        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(unusable)?;
-        listener.set_nonblocking(true).map_err(unusable)?;
-        let port = listener.local_addr().map_err(unusable)?.port();
-        let gate = RequestAuth::new(port)?;
+    pub fn bind(port: u16, config: ExploreConfig) -> Result<Self, ServeError> {
+        let catalog = config.into_catalog()?;
+        let listener = listen(port).map_err(|source| ServeError::Port { port, source })?;
+        let port = listener
+            .local_addr()
+            .map_err(|source| ServeError::Port { port, source })?
+            .port();
+        let auth = RequestAuth::new(port)?;
         // Each simulation takes one processor; connections share one more thread.
         let processors = std::thread::available_parallelism()
             .map_or(2, usize::from)
@@ -132,7 +133,7 @@ impl Server {
             Poll::Ready(already) => Box::pin(ready(Ok(already.map_err(ServeError::System)?))),
             Poll::Pending => interrupt,
         };
-        let application = Arc::new(Application::new(gate, offer));
+        let application = Arc::new(Application::new(auth, catalog));
         Ok(Self {
             listener,
             port,
@@ -145,9 +146,9 @@ impl Server {
 
     /// Sets the time limit of the head of a request, and of its body; the default is 10 s.
     #[must_use]
-    pub fn with_read_timeout(self, patience: Duration) -> Self {
+    pub fn with_read_timeout(self, read_timeout: Duration) -> Self {
         Self {
-            read_timeout: patience,
+            read_timeout,
             ..self
         }
     }
@@ -180,10 +181,16 @@ impl Server {
     }
 }
 
+fn listen(port: u16) -> io::Result<TcpListener> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
 async fn accept(
     listener: tokio::net::TcpListener,
     application: Arc<Application>,
-    patience: Duration,
+    read_timeout: Duration,
 ) {
     let mut connections = Vec::new();
     loop {
@@ -196,25 +203,35 @@ async fn accept(
             sleep(RETRY_AFTER).await;
         }
         let idle_since = Arc::new(AtomicU64::new(next_tick()));
-        let (application, own_idle_since) = (Arc::clone(&application), Arc::clone(&idle_since));
-        let task = tokio::spawn(async move {
-            let service = service_fn(|request| {
-                respond(Arc::clone(&application), request, &own_idle_since, patience)
-            });
-            let connection = http1::Builder::new()
-                .timer(TokioTimer::new())
-                .header_read_timeout(patience)
-                .max_buf_size(MAX_HEAD_BYTES)
-                .max_headers(MAX_HEADERS)
-                .serve_connection(TokioIo::new(stream), service);
-            // A client that disconnects needs no response.
-            let _ = connection.await;
-        });
+        let task = tokio::spawn(serve_connection(
+            stream,
+            Arc::clone(&application),
+            Arc::clone(&idle_since),
+            read_timeout,
+        ));
         connections.push(Connection {
             task: task.abort_handle(),
             idle_since,
         });
     }
+}
+
+async fn serve_connection(
+    stream: tokio::net::TcpStream,
+    application: Arc<Application>,
+    idle_since: Arc<AtomicU64>,
+    read_timeout: Duration,
+) {
+    let service =
+        service_fn(|request| respond(Arc::clone(&application), request, &idle_since, read_timeout));
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(read_timeout)
+        .max_buf_size(MAX_HEAD_BYTES)
+        .max_headers(MAX_HEADERS)
+        .serve_connection(TokioIo::new(stream), service);
+    // A client that disconnects needs no response.
+    let _ = connection.await;
 }
 
 struct Connection {
@@ -255,9 +272,9 @@ async fn respond(
     application: Arc<Application>,
     request: Request<Incoming>,
     idle_since: &AtomicU64,
-    patience: Duration,
+    read_timeout: Duration,
 ) -> Result<Response<Full<Bytes>>, Infallible> {
-    let answered = handle(application, request, idle_since, patience).await;
+    let answered = handle(application, request, idle_since, read_timeout).await;
     let HttpResponse {
         status,
         content_type,
@@ -280,7 +297,7 @@ async fn handle(
     application: Arc<Application>,
     request: Request<Incoming>,
     idle_since: &AtomicU64,
-    patience: Duration,
+    read_timeout: Duration,
 ) -> Result<HttpResponse, RequestError> {
     // Earlier idle time no longer counts.
     idle_since.store(next_tick(), Ordering::Relaxed);
@@ -293,21 +310,12 @@ async fn handle(
         return application.dispatch(&head.method, &rest, &[]);
     }
     // A form of another page cannot send this content type without a preflight request.
-    let is_json = head
-        .headers
-        .get(CONTENT_TYPE)
-        .and_then(|kind| kind.to_str().ok())
-        .is_some_and(|kind| {
-            kind.split(';')
-                .next()
-                .is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
-        });
-    if head.method == Method::POST && !is_json {
+    if head.method == Method::POST && !declares_json(&head.headers) {
         return Err(RequestError::NotJson);
     }
-    let body = timeout(patience, read_body(body))
+    let body = timeout(read_timeout, read_body(body))
         .await
-        .map_err(|_| RequestError::Timeout(patience))??;
+        .map_err(|_| RequestError::Timeout(read_timeout))??;
     // Requests beyond the number of threads are queued.
     idle_since.store(BUSY, Ordering::Relaxed);
     let answer =
@@ -320,15 +328,24 @@ async fn handle(
     })
 }
 
+fn declares_json(headers: &HeaderMap) -> bool {
+    headers
+        .get(CONTENT_TYPE)
+        .and_then(|kind| kind.to_str().ok())
+        .and_then(|kind| kind.split(';').next())
+        .is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"))
+}
+
 /// Reads a whole body. A body that is too long is drained, because the client reads the error only after sending.
 async fn read_body(mut body: Incoming) -> Result<Vec<u8>, RequestError> {
-    let (mut bytes, mut length) = (Vec::new(), 0_usize);
+    let mut bytes = Vec::new();
+    let mut length = 0_usize;
     while let Some(frame) = body.frame().await {
-        let broken = |error: hyper::Error| RequestError::Malformed {
+        let frame = frame.map_err(|error| RequestError::Malformed {
             line: 1,
             message: format!("the request is incomplete: {error}"),
-        };
-        let Ok(data) = frame.map_err(broken)?.into_data() else {
+        })?;
+        let Ok(data) = frame.into_data() else {
             continue;
         };
         length = length.saturating_add(data.len());

@@ -228,7 +228,7 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
 }
 
 #[test]
-fn fifty_clients_at_once_lose_nothing() {
+fn fifty_simultaneous_clients_receive_their_own_responses() {
     // Different scenarios detect mixed-up responses.
     let ask = |client: usize| {
         let name = format!("client {client}");
@@ -273,12 +273,12 @@ fn idle_connections_do_not_block_others() {
     let idle: Vec<_> = (0..400)
         .map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap())
         .collect();
-    let begun = Instant::now();
+    let start = Instant::now();
     assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
     assert!(
-        begun.elapsed() < Duration::from_secs(10),
+        start.elapsed() < Duration::from_secs(10),
         "{:?}",
-        begun.elapsed()
+        start.elapsed()
     );
     drop(idle);
 }
@@ -307,7 +307,7 @@ fn read_response(stream: &mut TcpStream) -> String {
 
 /// More slow requests than connections are allowed: the newest ones are answered without waiting for a time limit.
 #[test]
-fn slow_requests_keep_no_other_client_out() {
+fn slow_requests_do_not_block_other_clients() {
     let _alone = MANY_CONNECTIONS.lock();
     let timeout = Duration::from_secs(3600);
     let (port, token) = start(
@@ -330,7 +330,7 @@ fn slow_requests_keep_no_other_client_out() {
 }
 
 #[test]
-fn a_request_that_does_not_arrive_in_time_is_ended() {
+fn an_incomplete_request_times_out() {
     let (port, token) = start(
         Server::bind(0, ExploreConfig::default())
             .unwrap()
@@ -480,7 +480,7 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
 }
 
 #[test]
-fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
+fn an_edited_scenario_has_the_same_collision_in_its_saved_file() {
     let edits = json!({
         "name": "dragged",
         "friction": 0.75,
@@ -490,10 +490,10 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
         ],
         "lead": { "from_s": [0.0, 1.5, 4.25], "accel_mps2": [0.0, -4.5, -1.0] },
     });
-    let (status, drawn) = post("run", run_request(&edits).to_string().as_bytes());
-    assert_eq!(status, 200, "{drawn}");
+    let (status, response) = post("run", run_request(&edits).to_string().as_bytes());
+    assert_eq!(status, 200, "{response}");
     assert_eq!(
-        drawn["sliders"]["vehicles"][2]["gap_m"]
+        response["sliders"]["vehicles"][2]["gap_m"]
             .as_f64()
             .map(|gap| (gap * 1e6).round() / 1e6),
         Some(9.77)
@@ -523,7 +523,10 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
         .contact()
         .expect("hard braking on a wet road")
         .time_s;
-    assert_eq!(drawn["runs"][0]["contact_time_s"].as_f64(), Some(contact_s));
+    assert_eq!(
+        response["runs"][0]["contact_time_s"].as_f64(),
+        Some(contact_s)
+    );
     assert!(
         saved["command"]
             .as_str()
@@ -534,7 +537,7 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
 }
 
 #[test]
-fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
+fn an_avoidable_collision_is_answered_with_an_escape() {
     let body = json!({ "scenario": built_in_scenario("paper-1").unwrap().spec() });
     let (status, answer) = post("avoid", body.to_string().as_bytes());
     assert_eq!(
@@ -549,7 +552,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(96))]
     /// A request with any damage gets a response, and one clear error if it is invalid.
     #[test]
-    fn damage_is_refused_in_words(
+    fn damaged_requests_are_refused_with_one_clear_error(
         at in 0.0..1.0_f64,
         put in prop::collection::vec(any::<u8>(), 0..6),
         cut in 0..9_usize,
@@ -566,7 +569,7 @@ proptest! {
 
     /// Bytes that are no request may get no response, but the next request does.
     #[test]
-    fn malformed_requests_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
+    fn malformed_requests_do_not_stop_the_server(bytes in prop::collection::vec(any::<u8>(), 1..200)) {
         let sent = [&bytes[..], b"\r\n\r\n"].concat();
         let mut stream = TcpStream::connect(("127.0.0.1", test_server().port)).unwrap();
         // The server may have closed the connection already.

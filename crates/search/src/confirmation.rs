@@ -38,8 +38,12 @@ impl ReplayShare {
     /// Counts the results; `None` if there is none.
     #[must_use]
     pub fn from_results(results: impl IntoIterator<Item = bool>) -> Option<Self> {
-        let add = |[count, replays]: [u64; 2], result| [count + u64::from(result), replays + 1];
-        let [count, replays] = results.into_iter().fold([0, 0], add);
+        let mut count = 0;
+        let mut replays = 0;
+        for result in results {
+            count += u64::from(result);
+            replays += 1;
+        }
         let interval = RateInterval::clopper_pearson(count, replays, CONFIDENCE);
         (replays > 0).then_some(Self {
             count,
@@ -107,7 +111,7 @@ impl ControllerSource for DemandPlayback {
         let own = ego
             .vehicle
             .checked_sub(self.first)
-            .and_then(|place| self.demand_mps2.get(place));
+            .and_then(|index| self.demand_mps2.get(index));
         let demand_mps2 = own.cloned().unwrap_or_default().into_iter();
         Ok(Box::new(DemandSequence {
             demand_mps2,
@@ -125,10 +129,10 @@ struct DemandSequence {
 }
 
 impl Controller for DemandSequence {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+    fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let demand_mps2 = self.demand_mps2.next().unwrap_or(0.0);
-        let speed_mps = self.speed_mps.unwrap_or(seen.speed_mps);
+        let speed_mps = self.speed_mps.unwrap_or(observation.speed_mps);
         self.speed_mps = Some((speed_mps + demand_mps2 * self.step_s).max(0.0));
-        Ok(demand_mps2 + SPEED_GAIN_PER_S * (speed_mps - seen.speed_mps))
+        Ok(demand_mps2 + SPEED_GAIN_PER_S * (speed_mps - observation.speed_mps))
     }
 }

@@ -174,8 +174,10 @@ pub enum SuiteProblem {
     },
 }
 
-fn describe_alternative(other: Option<&ParameterKind>) -> String {
-    other.map_or_else(String::new, |other| format!(", or `{}`", other.name()))
+fn describe_alternative(alternative: Option<&ParameterKind>) -> String {
+    alternative.map_or_else(String::new, |parameter| {
+        format!(", or `{}`", parameter.name())
+    })
 }
 
 type CheckResult = Result<(), InvalidSuite>;
@@ -192,13 +194,13 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
     check_version(spec.version, SUITE_VERSION)
         .map_err(|unsupported| InvalidSuite::new("version", SuiteProblem::from(unsupported)))?;
     check_name(&spec.name, "name")?;
-    for (field, found) in [
+    for (field, text) in [
         ("about", &spec.about),
         ("document", &spec.document),
         ("edition", &spec.edition),
         ("parameter_source", &spec.parameter_source),
     ] {
-        check_text(found, field)?;
+        check_text(text, field)?;
     }
     for (field, list) in [
         ("not_modelled", &spec.not_modelled),
@@ -207,77 +209,104 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
         check_length(list.len(), 0, 100, field)?;
         list.iter()
             .enumerate()
-            .try_for_each(|(index, found)| check_text(found, format!("{field}[{index}]")))?;
+            .try_for_each(|(index, text)| check_text(text, format!("{field}[{index}]")))?;
     }
     check_length(spec.clauses.len(), 1, 100, "clauses")?;
-    let (mut names, mut points) = (Vec::new(), 0);
+    let mut names = Vec::new();
+    let mut points = 0;
     for (index, clause) in spec.clauses.iter().enumerate() {
-        let place = format!("clauses[{index}]");
-        check_text(&clause.clause, format!("{place}.clause"))?;
-        check_text(&clause.summary, format!("{place}.summary"))?;
-        check_length(clause.tests.len(), 1, 100, format!("{place}.tests"))?;
+        let path = format!("clauses[{index}]");
+        check_text(&clause.clause, format!("{path}.clause"))?;
+        check_text(&clause.summary, format!("{path}.summary"))?;
+        check_length(clause.tests.len(), 1, 100, format!("{path}.tests"))?;
         for (index, test) in clause.tests.iter().enumerate() {
-            let place = format!("{place}.tests[{index}]");
-            check_name(&test.name, format!("{place}.name"))?;
+            let path = format!("{path}.tests[{index}]");
+            check_name(&test.name, format!("{path}.name"))?;
             ensure(
                 !names.contains(&&test.name),
-                format!("{place}.name"),
+                format!("{path}.name"),
                 SuiteProblem::DuplicateName,
             )?;
             names.push(&test.name);
-            points += check_test(test, &place, points)?;
+            points += check_test(test, &path, points)?;
         }
     }
     Ok(())
 }
 
 /// Checks a test, given the number of points of the earlier tests, and returns its number of points.
-fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, InvalidSuite> {
-    let lead = match (test.lead, &test.refusal_reason) {
-        (Some(lead), None) => lead,
-        (None, Some(why)) => {
-            check_text(why, format!("{place}.refusal_reason"))?;
-            let misplaced = test.parameters.iter().next().is_some()
-                || test.impact_at_most.is_some()
-                || !test.margins.is_empty()
-                || !test.ranges.is_empty();
-            return ensure(!misplaced, place, SuiteProblem::LeadOrRefusal).map(|()| 0);
-        }
-        _ => return Err(InvalidSuite::new(place, SuiteProblem::LeadOrRefusal)),
+fn check_test(test: &TestSpec, path: &str, before: usize) -> Result<usize, InvalidSuite> {
+    let Some(lead) = check_lead(test, path)? else {
+        return Ok(0);
     };
-    check_parameters(test, lead, place)?;
-    if let Some(ImpactLimit {
-        value, unit, note, ..
-    }) = &test.impact_at_most
-    {
-        let (at, found) = (|name: &str| format!("{place}.impact_at_most.{name}"), *unit);
-        let is_speed = ParameterKind::OwnSpeed.allowed_units().contains(&found);
-        ensure(is_speed, at("unit"), SuiteProblem::ImpactUnit { found })?;
-        // Rounded to nine digits, so that the maximum is exactly 360 km/h.
-        let max = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
-        let problem = SuiteProblem::ImpactOutOfRange {
-            max,
-            unit: *unit,
-            found: *value,
-        };
-        ensure(*value > 0.0 && *value <= max, at("value"), problem)?;
-        ensure(
-            note.is_empty() || check_text(note, "").is_ok(),
-            at("note"),
-            SuiteProblem::Text,
-        )?;
+    check_parameters(test, lead, path)?;
+    if let Some(limit) = &test.impact_at_most {
+        check_impact_limit(limit, &format!("{path}.impact_at_most"))?;
     }
-    let found = before.saturating_add(test.point_count());
+    let points = before.saturating_add(test.point_count());
     ensure(
-        found <= MAX_POINTS,
-        format!("{place}.parameters"),
-        SuiteProblem::TooMany { found },
+        points <= MAX_POINTS,
+        format!("{path}.parameters"),
+        SuiteProblem::TooMany { found: points },
     )?;
     let grid = test.grid();
     grid.iter()
-        .try_for_each(|point| check_point(test, lead, point, &format!("{place}.parameters")))?;
+        .try_for_each(|point| check_point(test, lead, point, &format!("{path}.parameters")))?;
+    check_ranges(test, path)?;
+    check_tolerances(test, lead, &grid, path)?;
+    check_margins(test, lead, &grid, path)?;
+    Ok(grid.len())
+}
+
+/// Returns the manoeuvre of a test; `None` for a test that only has a reason why it cannot be run.
+fn check_lead(test: &TestSpec, path: &str) -> Result<Option<LeadManeuver>, InvalidSuite> {
+    match (test.lead, &test.refusal_reason) {
+        (Some(lead), None) => Ok(Some(lead)),
+        (None, Some(reason)) => {
+            check_text(reason, format!("{path}.refusal_reason"))?;
+            let has_only_a_reason = test.parameters.iter().next().is_none()
+                && test.impact_at_most.is_none()
+                && test.margins.is_empty()
+                && test.ranges.is_empty();
+            ensure(has_only_a_reason, path, SuiteProblem::LeadOrRefusal)?;
+            Ok(None)
+        }
+        _ => Err(InvalidSuite::new(path, SuiteProblem::LeadOrRefusal)),
+    }
+}
+
+fn check_impact_limit(limit: &ImpactLimit, path: &str) -> CheckResult {
+    let ImpactLimit {
+        value, unit, note, ..
+    } = limit;
+    let is_speed = ParameterKind::OwnSpeed.allowed_units().contains(unit);
+    ensure(
+        is_speed,
+        format!("{path}.unit"),
+        SuiteProblem::ImpactUnit { found: *unit },
+    )?;
+    // Rounded to nine digits, so that the maximum is exactly 360 km/h.
+    let max = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
+    let problem = SuiteProblem::ImpactOutOfRange {
+        max,
+        unit: *unit,
+        found: *value,
+    };
+    ensure(
+        *value > 0.0 && *value <= max,
+        format!("{path}.value"),
+        problem,
+    )?;
+    ensure(
+        note.is_empty() || check_text(note, "").is_ok(),
+        format!("{path}.note"),
+        SuiteProblem::Text,
+    )
+}
+
+fn check_ranges(test: &TestSpec, path: &str) -> CheckResult {
     for (index, &parameter) in test.ranges.iter().enumerate() {
-        let field = format!("{place}.ranges[{index}]");
+        let field = format!("{path}.ranges[{index}]");
         let has_range = test
             .find_parameter(parameter)
             .is_some_and(|(_, figure)| figure.values.len() > 1);
@@ -288,66 +317,75 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
             SuiteProblem::DuplicateRange,
         )?;
     }
-    for (at, (parameter, figure)) in test
+    Ok(())
+}
+
+/// Checks that each point remains a scenario at both ends of each tolerance.
+fn check_tolerances(
+    test: &TestSpec,
+    lead: LeadManeuver,
+    grid: &[Vec<f64>],
+    path: &str,
+) -> CheckResult {
+    for (position, (parameter, figure)) in test
         .parameters
         .iter()
         .enumerate()
         .filter(|(_, (_, figure))| figure.tolerance > 0.0)
     {
-        let field = format!("{place}.parameters.{}.tolerance", parameter.name());
-        for point in &grid {
+        let field = format!("{path}.parameters.{}.tolerance", parameter.name());
+        for point in grid {
             for tolerance in [-figure.tolerance, figure.tolerance] {
-                let value = point.get(at).map_or(0.0, |value| value + tolerance);
-                check_point(test, lead, &with_value(point, at, value), &field)?;
+                let value = point.get(position).map_or(0.0, |value| value + tolerance);
+                check_point(test, lead, &with_value(point, position, value), &field)?;
             }
         }
     }
-    check_length(test.margins.len(), 0, 10, format!("{place}.margins"))?;
+    Ok(())
+}
+
+/// Checks that each margin ends beyond the grid, and at a scenario.
+fn check_margins(
+    test: &TestSpec,
+    lead: LeadManeuver,
+    grid: &[Vec<f64>],
+    path: &str,
+) -> CheckResult {
+    check_length(test.margins.len(), 0, 10, format!("{path}.margins"))?;
     for (index, margin) in test.margins.iter().enumerate() {
-        let field = format!("{place}.margins[{index}]");
-        let Some((at, stated)) = test.find_parameter(margin.parameter) else {
+        let field = format!("{path}.margins[{index}]");
+        let Some((position, figure)) = test.find_parameter(margin.parameter) else {
             return Err(InvalidSuite::new(
                 format!("{field}.parameter"),
                 SuiteProblem::Misplaced { lead: lead.name() },
             ));
         };
-        check_value(
-            margin.parameter,
-            margin.to,
-            stated.unit,
-            &format!("{field}.to"),
-        )?;
-        let is_within = stated.values.iter().any(|&value| value >= margin.to)
-            && stated.values.iter().any(|&value| value <= margin.to);
-        ensure(
-            !is_within,
-            format!("{field}.to"),
-            SuiteProblem::NotBeyondGrid {
-                parameter: margin.parameter,
-            },
-        )?;
-        for point in &grid {
-            check_point(
-                test,
-                lead,
-                &with_value(point, at, margin.to),
-                &format!("{field}.to"),
-            )?;
+        let field = format!("{field}.to");
+        check_value(margin.parameter, margin.to, figure.unit, &field)?;
+        let is_within = figure.values.iter().any(|&value| value >= margin.to)
+            && figure.values.iter().any(|&value| value <= margin.to);
+        let problem = SuiteProblem::NotBeyondGrid {
+            parameter: margin.parameter,
+        };
+        ensure(!is_within, &field, problem)?;
+        for point in grid {
+            let end = with_value(point, position, margin.to);
+            check_point(test, lead, &end, &field)?;
         }
     }
-    Ok(grid.len())
+    Ok(())
 }
 
-fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckResult {
-    let field = |parameter: ParameterKind| format!("{place}.parameters.{}", parameter.name());
-    for (parameter, found) in test.parameters.iter() {
+fn check_parameters(test: &TestSpec, lead: LeadManeuver, path: &str) -> CheckResult {
+    for (parameter, figure) in test.parameters.iter() {
+        let field = parameter_field(path, parameter);
         let is_needed = lead.parameters().concat().contains(&parameter);
         ensure(
             is_needed,
-            field(parameter),
+            &field,
             SuiteProblem::Misplaced { lead: lead.name() },
         )?;
-        check_parameter(parameter, found, &field(parameter))?;
+        check_parameter(parameter, figure, &field)?;
     }
     for needed in lead.parameters() {
         let mut stated = needed
@@ -356,7 +394,7 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
         match (stated.next(), stated.next(), needed) {
             (Some(&other), Some(&twice), _) => {
                 return Err(InvalidSuite::new(
-                    field(twice),
+                    parameter_field(path, twice),
                     SuiteProblem::AlreadyStated { other },
                 ));
             }
@@ -365,12 +403,16 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, place: &str) -> CheckRe
                     lead: lead.name(),
                     alternative: others.first().copied(),
                 };
-                return Err(InvalidSuite::new(field(*first), missing));
+                return Err(InvalidSuite::new(parameter_field(path, *first), missing));
             }
             _ => {}
         }
     }
     Ok(())
+}
+
+fn parameter_field(test_path: &str, parameter: ParameterKind) -> String {
+    format!("{test_path}.parameters.{}", parameter.name())
 }
 
 fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) -> CheckResult {
@@ -379,12 +421,11 @@ fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) 
             <= test.si_value(point, ParameterKind::OwnSpeed);
         ensure(is_slower, field, SuiteProblem::NotSlower)?;
     }
-    let point_in_words = || test.describe_point(point);
     test.scenario("point", "", point).map(drop).map_err(|why| {
         InvalidSuite::new(
             field,
             SuiteProblem::Scenario {
-                point: point_in_words(),
+                point: test.describe_point(point),
                 why: why.into(),
             },
         )
@@ -392,58 +433,65 @@ fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) 
 }
 
 fn check_parameter(parameter: ParameterKind, figure: &TestParameter, field: &str) -> CheckResult {
-    let at = |name: &str| format!("{field}.{name}");
-    let found = figure.unit;
+    let TestParameter {
+        values,
+        unit,
+        tolerance,
+        note,
+        ..
+    } = figure;
     ensure(
-        parameter.allowed_units().contains(&found),
-        at("unit"),
-        SuiteProblem::Unit { parameter, found },
-    )?;
-    check_length(figure.values.len(), 1, 100, at("values"))?;
-    for (index, &found) in figure.values.iter().enumerate() {
-        check_value(
+        parameter.allowed_units().contains(unit),
+        format!("{field}.unit"),
+        SuiteProblem::Unit {
             parameter,
-            found,
-            figure.unit,
-            &format!("{field}.values[{index}]"),
-        )?;
+            found: *unit,
+        },
+    )?;
+    check_parameter_values(parameter, figure, &format!("{field}.values"))?;
+    let tolerance_field = format!("{field}.tolerance");
+    ensure(
+        *tolerance >= 0.0 && tolerance.is_finite(),
+        &tolerance_field,
+        SuiteProblem::Tolerance { found: *tolerance },
+    )?;
+    let lowest = values.first().map(|first| first - tolerance);
+    let highest = values.last().map(|last| last + tolerance);
+    for end in lowest.into_iter().chain(highest) {
+        check_value(parameter, end, *unit, &tolerance_field)?;
+    }
+    if note.is_empty() {
+        Ok(())
+    } else {
+        check_text(note, format!("{field}.note"))
+    }
+}
+
+/// Checks that the values are in the range of the parameter and increase.
+fn check_parameter_values(
+    parameter: ParameterKind,
+    figure: &TestParameter,
+    field: &str,
+) -> CheckResult {
+    check_length(figure.values.len(), 1, 100, field)?;
+    for (index, &value) in figure.values.iter().enumerate() {
+        check_value(parameter, value, figure.unit, &format!("{field}[{index}]"))?;
     }
     for (pair, index) in figure.values.windows(2).zip(1..) {
         if let &[before, found] = pair {
-            let field = format!("{field}.values[{index}]");
             ensure(
                 before < found,
-                field,
+                format!("{field}[{index}]"),
                 SuiteProblem::NotIncreasing { before, found },
             )?;
         }
     }
-    let TestParameter {
-        values, tolerance, ..
-    } = figure;
-    ensure(
-        *tolerance >= 0.0 && tolerance.is_finite(),
-        at("tolerance"),
-        SuiteProblem::Tolerance { found: *tolerance },
-    )?;
-    for end in values
-        .iter()
-        .take(1)
-        .map(|first| first - tolerance)
-        .chain(values.last().map(|last| last + tolerance))
-    {
-        check_value(parameter, end, figure.unit, &at("tolerance"))?;
-    }
-    if figure.note.is_empty() {
-        Ok(())
-    } else {
-        check_text(&figure.note, at("note"))
-    }
+    Ok(())
 }
 
 fn check_value(
     parameter: ParameterKind,
-    found: f64,
+    value: f64,
     unit: ParameterUnit,
     field: &str,
 ) -> CheckResult {
@@ -452,39 +500,44 @@ fn check_value(
         .range()
         .map(|end| (end / unit.si_factor() * 1e9).round() / 1e9);
     ensure(
-        (range[0]..=range[1]).contains(&found),
+        (range[0]..=range[1]).contains(&value),
         field,
-        SuiteProblem::OutOfRange { range, unit, found },
+        SuiteProblem::OutOfRange {
+            range,
+            unit,
+            found: value,
+        },
     )
 }
 
-fn check_name(found: &str, field: impl Into<String>) -> CheckResult {
-    let is_plain =
-        |letter: u8| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-';
+fn check_name(name: &str, field: impl Into<String>) -> CheckResult {
+    let is_plain = name
+        .bytes()
+        .all(|letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == b'-');
     ensure(
-        (1..=60).contains(&found.len()) && found.bytes().all(is_plain),
+        (1..=60).contains(&name.len()) && is_plain,
         field,
         SuiteProblem::Name,
     )
 }
 
-fn check_text(found: &str, field: impl Into<String>) -> CheckResult {
-    let is_short = (1..=2000).contains(&found.chars().count());
+fn check_text(text: &str, field: impl Into<String>) -> CheckResult {
+    let is_short = (1..=2000).contains(&text.chars().count());
     ensure(
-        is_short && !found.chars().any(char::is_control),
+        is_short && !text.chars().any(char::is_control),
         field,
         SuiteProblem::Text,
     )
 }
 
-fn check_length(found: usize, least: usize, most: usize, field: impl Into<String>) -> CheckResult {
+fn check_length(length: usize, min: usize, max: usize, field: impl Into<String>) -> CheckResult {
     ensure(
-        (least..=most).contains(&found),
+        (min..=max).contains(&length),
         field,
         SuiteProblem::Length {
-            min: least,
-            max: most,
-            found,
+            min,
+            max,
+            found: length,
         },
     )
 }

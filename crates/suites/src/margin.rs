@@ -6,6 +6,7 @@ use super::parameter::{ParameterKind, ParameterUnit};
 use super::result::TestVerdict;
 use super::run::{ControllerSetup, Criterion};
 use super::spec::{TestSpec, with_value};
+use crumple_sim::scenario::Scenario;
 
 /// Number of equal intervals of a sweep; the test is run at their ends.
 const SWEEP_PARTS: usize = 16;
@@ -89,143 +90,170 @@ impl Sweep<'_> {
     fn value(&self, part: usize) -> f64 {
         self.from + (self.to - self.from) * (part as f64 / SWEEP_PARTS as f64)
     }
+
+    fn margin(&self, end: MarginEnd) -> Margin {
+        Margin {
+            parameter: self.parameter,
+            unit: self.unit,
+            from: self.from,
+            to: self.to,
+            fixed_parameters: self
+                .test
+                .describe_point_without(&self.base, Some(self.position)),
+            end,
+        }
+    }
+
+    /// Returns the scenario at a value of the swept parameter; `None` if it is invalid.
+    fn scenario(&self, value: f64) -> Option<Scenario> {
+        let point = with_value(&self.base, self.position, value);
+        self.test.scenario("margin", "", &point).ok()
+    }
 }
 
 /// Finds the margins of a test: one per direction and combination of the other parameters.
 pub(super) fn find_margins(
     test: &TestSpec,
     criterion: Criterion,
-    driven: &ControllerSetup<'_>,
+    setup: &ControllerSetup<'_>,
 ) -> Vec<Margin> {
-    let lines = sweeps(test);
-    let ends: Vec<(usize, f64)> = (0..lines.len())
-        .flat_map(|line| (0..=SWEEP_PARTS).map(move |part| (line, part)))
-        .map(|(line, part)| (line, lines[line].value(part)))
+    let sweeps = sweeps(test);
+    let ends: Vec<(usize, f64)> = sweeps
+        .iter()
+        .enumerate()
+        .flat_map(|(index, sweep)| (0..=SWEEP_PARTS).map(move |part| (index, sweep.value(part))))
         .collect();
-    let at_ends = evaluate(&lines, &ends, criterion, driven);
-    let mut margin_ends: Vec<MarginEnd> = at_ends
+    let outcomes = evaluate(&sweeps, &ends, criterion, setup);
+    let mut margin_ends: Vec<MarginEnd> = outcomes
         .chunks(SWEEP_PARTS + 1)
-        .zip(&lines)
-        .map(|(found, line)| grid_end(line, found))
+        .zip(&sweeps)
+        .map(|(outcomes, sweep)| grid_end(sweep, outcomes))
         .collect();
     for _ in 0..BISECTIONS {
-        bisect(&mut margin_ends, &lines, criterion, driven);
+        bisect(&mut margin_ends, &sweeps, criterion, setup);
     }
-    let margin = |(line, end): (&Sweep<'_>, MarginEnd)| Margin {
-        parameter: line.parameter,
-        unit: line.unit,
-        from: line.from,
-        to: line.to,
-        fixed_parameters: line
-            .test
-            .describe_point_without(&line.base, Some(line.position)),
-        end,
-    };
-    lines.iter().zip(margin_ends).map(margin).collect()
+    sweeps
+        .iter()
+        .zip(margin_ends)
+        .map(|(sweep, end)| sweep.margin(end))
+        .collect()
 }
 
 fn sweeps(test: &TestSpec) -> Vec<Sweep<'_>> {
-    let mut lines: Vec<Sweep<'_>> = Vec::new();
+    let mut sweeps: Vec<Sweep<'_>> = Vec::new();
     for margin in &test.margins {
-        let Some((at, figure)) = test.find_parameter(margin.parameter) else {
+        let Some((position, figure)) = test.find_parameter(margin.parameter) else {
             continue;
         };
-        let (Some(&first), Some(&last)) = (figure.values.first(), figure.values.last()) else {
+        let Some((&first, &last)) = figure.values.first().zip(figure.values.last()) else {
             continue;
         };
         let from = if margin.to > last { last } else { first };
         let bases = test
             .grid()
             .into_iter()
-            .filter(|point| point.get(at) == Some(&from));
-        let (push, unit, to) = (margin.parameter, figure.unit, margin.to);
-        lines.extend(bases.map(|base| Sweep {
+            .filter(|point| point.get(position) == Some(&from));
+        sweeps.extend(bases.map(|base| Sweep {
             test,
             base,
-            position: at,
-            parameter: push,
-            unit,
+            position,
+            parameter: margin.parameter,
+            unit: figure.unit,
             from,
-            to,
+            to: margin.to,
         }));
     }
-    lines
+    sweeps
 }
 
-fn grid_end(line: &Sweep<'_>, found: &[SweepOutcome]) -> MarginEnd {
-    let first = found
+/// Returns the end of a margin to the accuracy of the intervals of the sweep.
+fn grid_end(sweep: &Sweep<'_>, outcomes: &[SweepOutcome]) -> MarginEnd {
+    let first_failure = outcomes
         .iter()
         .zip(0..)
-        .find_map(|(found, part)| found.err().map(|beyond| (part, beyond)));
-    match first {
+        .find_map(|(outcome, part)| outcome.err().map(|failure| (part, failure)));
+    match first_failure {
         None => MarginEnd::Holds { parts: SWEEP_PARTS },
-        Some((0, beyond)) => MarginEnd::None { failure: beyond },
-        Some((first, beyond)) => MarginEnd::Boundary {
-            passes_at: line.value(first - 1),
-            fails_at: line.value(first),
-            failure: beyond,
-            is_monotone: !found.iter().skip(first).any(Result::is_ok),
+        Some((0, failure)) => MarginEnd::None { failure },
+        Some((first, failure)) => MarginEnd::Boundary {
+            passes_at: sweep.value(first - 1),
+            fails_at: sweep.value(first),
+            failure,
+            is_monotone: !outcomes.iter().skip(first).any(Result::is_ok),
             parts: SWEEP_PARTS,
         },
     }
 }
 
+/// Halves the interval at the end of each margin.
 fn bisect(
     margin_ends: &mut [MarginEnd],
-    lines: &[Sweep<'_>],
+    sweeps: &[Sweep<'_>],
     criterion: Criterion,
-    driven: &ControllerSetup<'_>,
+    setup: &ControllerSetup<'_>,
 ) {
-    let middle = |(line, end): (usize, &MarginEnd)| match end {
-        MarginEnd::Boundary {
-            passes_at,
-            fails_at,
-            ..
-        } => Some((line, 0.5 * (passes_at + fails_at))),
-        MarginEnd::None { .. } | MarginEnd::Holds { .. } => None,
-    };
-    let middles: Vec<_> = margin_ends.iter().enumerate().filter_map(middle).collect();
-    let at_middles = evaluate(lines, &middles, criterion, driven);
-    for ((line, middle), found) in middles.into_iter().zip(at_middles) {
+    let middles: Vec<(usize, f64)> = margin_ends
+        .iter()
+        .enumerate()
+        .filter_map(|(index, end)| Some((index, end.middle()?)))
+        .collect();
+    let outcomes = evaluate(sweeps, &middles, criterion, setup);
+    for ((index, middle), outcome) in middles.into_iter().zip(outcomes) {
         let Some(MarginEnd::Boundary {
             passes_at,
             fails_at,
-            failure: beyond,
+            failure,
             ..
-        }) = margin_ends.get_mut(line)
+        }) = margin_ends.get_mut(index)
         else {
             continue;
         };
-        match found {
+        match outcome {
             Ok(()) => *passes_at = middle,
-            Err(found) => (*fails_at, *beyond) = (middle, found),
+            Err(at_middle) => {
+                *fails_at = middle;
+                *failure = at_middle;
+            }
         }
     }
 }
 
+impl MarginEnd {
+    /// Returns the middle of the interval of a boundary.
+    fn middle(&self) -> Option<f64> {
+        match self {
+            Self::Boundary {
+                passes_at,
+                fails_at,
+                ..
+            } => Some(0.5 * (passes_at + fails_at)),
+            Self::None { .. } | Self::Holds { .. } => None,
+        }
+    }
+}
+
+/// Runs the test at some values of some sweeps, each given by its index.
 fn evaluate(
-    lines: &[Sweep<'_>],
+    sweeps: &[Sweep<'_>],
     values: &[(usize, f64)],
     criterion: Criterion,
-    driven: &ControllerSetup<'_>,
+    setup: &ControllerSetup<'_>,
 ) -> Vec<SweepOutcome> {
-    let scenario = |&(line, value): &(usize, f64)| {
-        let line: &Sweep<'_> = lines.get(line)?;
-        line.test
-            .scenario("margin", "", &with_value(&line.base, line.position, value))
-            .ok()
-    };
-    let scenarios: Vec<_> = values.iter().map(scenario).collect();
+    let scenarios: Vec<Option<Scenario>> = values
+        .iter()
+        .map(|&(index, value)| sweeps.get(index)?.scenario(value))
+        .collect();
     let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
-    let mut seen = driven.run_scenarios(criterion, &valid).into_iter();
-    let found = |is_valid: bool| match is_valid
-        .then(|| seen.next())
-        .flatten()
-        .map(|seen| seen.verdict)
-    {
-        Some(TestVerdict::Passed) => Ok(()),
-        Some(TestVerdict::Refused { .. }) | None => Err(SweepFailure::Refused),
-        Some(_) => Err(SweepFailure::Fails),
-    };
-    scenarios.iter().map(Option::is_some).map(found).collect()
+    let mut results = setup.run_scenarios(criterion, &valid).into_iter();
+    scenarios
+        .iter()
+        .map(|scenario| {
+            let result = scenario.as_ref().and_then(|_| results.next());
+            match result.map(|result| result.verdict) {
+                Some(TestVerdict::Passed) => Ok(()),
+                Some(TestVerdict::Refused { .. }) | None => Err(SweepFailure::Refused),
+                Some(_) => Err(SweepFailure::Fails),
+            }
+        })
+        .collect()
 }

@@ -35,77 +35,83 @@ pub struct ReferenceRun {
     pub prevention: Prevention,
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Preventability {
     pub(super) references: Vec<ReferenceRun>,
     pub(super) classification: AvoidabilityAnalysis,
 }
 
-/// Assesses the preventability of these scenarios of a test, and adds new assessments to `known`.
+/// Assesses the preventability of these scenarios of a test, and adds new assessments to the cache.
 pub(super) fn assess_preventability(
     criterion: Criterion,
     scenarios: &[&Scenario],
-    known: &mut PreventabilityCache,
+    cache: &mut PreventabilityCache,
 ) -> Vec<Preventability> {
-    let name = |scenario: &Scenario| scenario.spec().name.clone();
+    add_references(criterion, scenarios, cache);
+    let analysed = scenarios.iter().take(MAX_AVOIDABILITY_CHECKS);
+    add_avoidability(analysed.copied(), cache);
+    // Drop analyses that were made for another controller: a result must not depend on which controllers run
+    // together.
+    scenarios
+        .iter()
+        .enumerate()
+        .filter_map(|(index, scenario)| {
+            let mut preventability = cache.get(&scenario.spec().name)?.clone();
+            if index >= MAX_AVOIDABILITY_CHECKS {
+                preventability.classification = AvoidabilityAnalysis::default();
+            }
+            Some(preventability)
+        })
+        .collect()
+}
+
+/// Runs the reference drivers in the scenarios that the cache lacks.
+fn add_references(criterion: Criterion, scenarios: &[&Scenario], cache: &mut PreventabilityCache) {
     let new: Vec<Scenario> = scenarios
         .iter()
-        .filter(|scenario| !known.contains_key(&name(scenario)))
-        .map(|&one| one.clone())
+        .filter(|scenario| !cache.contains_key(&scenario.spec().name))
+        .map(|&scenario| scenario.clone())
         .collect();
-    let references = run_references(criterion, &new);
+    let runs_by_driver = run_references(criterion, &new);
     for (index, scenario) in new.iter().enumerate() {
-        let references = references
+        let references = runs_by_driver
             .iter()
-            .filter_map(|all| all.get(index).cloned())
+            .filter_map(|runs| runs.get(index).cloned())
             .collect();
-        known.insert(
-            name(scenario),
+        cache.insert(
+            scenario.spec().name.clone(),
             Preventability {
                 references,
                 classification: AvoidabilityAnalysis::default(),
             },
         );
     }
-    let is_open = |scenario: &&&Scenario| {
-        known
-            .get(&name(scenario))
-            .is_some_and(|known| known.classification.avoidability == Avoidability::NotAsked)
-    };
-    let asked: Vec<_> = scenarios
-        .iter()
-        .take(MAX_AVOIDABILITY_CHECKS)
-        .filter(is_open)
-        .collect();
-    let answers: Vec<_> = asked
-        .par_iter()
-        .map(|scenario| {
-            (
-                name(scenario),
-                AvoidabilityAnalysis::classify_contact(scenario),
-            )
-        })
-        .collect();
-    for (name, answer) in answers {
-        if let Some(known) = known.get_mut(&name) {
-            known.classification = answer;
-        }
-    }
-    // Drop answers that were computed for another controller: a result must not depend on which controllers run
-    // together.
-    let told = scenarios
-        .iter()
-        .enumerate()
-        .filter_map(|(index, scenario)| {
-            let mut prevented = known.get(&name(scenario))?.clone();
-            if index >= MAX_AVOIDABILITY_CHECKS {
-                prevented.classification = AvoidabilityAnalysis::default();
-            }
-            Some(prevented)
-        });
-    told.collect()
 }
 
+/// Analyses the avoidability of the scenarios for which the cache lacks it.
+fn add_avoidability<'s>(
+    scenarios: impl Iterator<Item = &'s Scenario>,
+    cache: &mut PreventabilityCache,
+) {
+    let new: Vec<&Scenario> = scenarios
+        .filter(|scenario| {
+            cache
+                .get(&scenario.spec().name)
+                .is_some_and(|cached| cached.classification.avoidability == Avoidability::NotAsked)
+        })
+        .collect();
+    let analyses: Vec<_> = new
+        .par_iter()
+        .map(|scenario| AvoidabilityAnalysis::classify_contact(scenario))
+        .collect();
+    for (scenario, analysis) in new.into_iter().zip(analyses) {
+        if let Some(cached) = cache.get_mut(&scenario.spec().name) {
+            cached.classification = analysis;
+        }
+    }
+}
+
+/// Runs each reference driver in each scenario; the outer index is that of the driver.
 fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
     let drivers = BuiltInController::all()
         .into_iter()
@@ -113,20 +119,20 @@ fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<Refer
     let runs = drivers.map(|spec| {
         let driver = spec.name();
         let controller = spec.into_source();
-        let seen = ControllerSetup {
+        let setup = ControllerSetup {
             controller: &controller,
             estimator: EstimatorKind::Truth,
-        }
-        .run_scenarios(criterion, scenarios);
-        let prevention = |seen: super::run::RunResult| match seen.verdict {
-            TestVerdict::Passed => Prevention::Prevents,
-            _ if seen.max_brake_mps2 > 0.0 => Prevention::Collides,
-            _ => Prevention::DoesNotReact,
         };
-        seen.into_iter()
-            .map(|seen| ReferenceRun {
+        setup
+            .run_scenarios(criterion, scenarios)
+            .into_iter()
+            .map(|result| ReferenceRun {
                 driver: driver.to_owned(),
-                prevention: prevention(seen),
+                prevention: match result.verdict {
+                    TestVerdict::Passed => Prevention::Prevents,
+                    _ if result.max_brake_mps2 > 0.0 => Prevention::Collides,
+                    _ => Prevention::DoesNotReact,
+                },
             })
             .collect()
     });

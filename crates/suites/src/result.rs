@@ -226,30 +226,33 @@ impl TestVerdict {
         }
     }
 
-    /// Returns a sort key: collisions by impact speed, then unnecessary braking, controller failures, then refusals.
-    fn severity_key(&self) -> (u8, f64) {
-        let class = match self {
+    /// Orders verdicts: collisions are the worst, then unnecessary braking, controller failures, then refusals.
+    fn severity_class(&self) -> u8 {
+        match self {
             Self::Passed => 0,
             Self::Refused { .. } => 1,
             Self::ControllerFailed { .. } => 2,
             Self::Braked { .. } => 3,
             Self::Failed { .. } => 4,
-        };
-        (class, self.impact_speed_mps())
+        }
     }
 
     /// Returns the worst verdict, the first of equals; `None` without verdicts.
     pub(super) fn worst<'v>(all: impl Iterator<Item = &'v Self>) -> Option<&'v Self> {
-        let worse = |worst: &'v Self, next: &'v Self| {
-            let ((class, speed), (next_class, next_speed)) =
-                (worst.severity_key(), next.severity_key());
-            if (next_class, next_speed.total_cmp(&speed)) > (class, std::cmp::Ordering::Equal) {
+        all.reduce(|worst, next| {
+            if next.is_worse_than(worst) {
                 next
             } else {
                 worst
             }
-        };
-        all.reduce(worse)
+        })
+    }
+
+    fn is_worse_than(&self, other: &Self) -> bool {
+        self.severity_class()
+            .cmp(&other.severity_class())
+            .then(self.impact_speed_mps().total_cmp(&other.impact_speed_mps()))
+            .is_gt()
     }
 }
 

@@ -17,10 +17,9 @@ use super::prevention::{Preventability, assess_preventability};
 use super::result::{
     ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict,
 };
-use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
+use super::spec::{LeadManeuver, SuiteSpec, TestSpec};
 use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
 use crumple_search::confirmation::CONFIRMING_PLANT;
-use crumple_search::falsify::counterexample::AvoidabilityAnalysis;
 
 /// Deceleration from which braking without cause fails a test, in m/s²: 0.25 g.
 const MIN_FALSE_BRAKE_MPS2: f64 = 0.25 * STANDARD_GRAVITY_MPS2;
@@ -71,6 +70,10 @@ impl RunResult {
             max_brake_mps2: 0.0,
         }
     }
+
+    fn is_collision(&self) -> bool {
+        matches!(self.verdict, TestVerdict::Failed { .. })
+    }
 }
 
 /// Runs a suite with some controllers. The result depends neither on the number of threads nor on the other
@@ -84,7 +87,8 @@ pub fn run(
     estimator: EstimatorKind,
 ) -> Result<SuiteResult, SuiteRunError> {
     let spec = suite.spec();
-    let (mut tested, mut known) = (Vec::new(), PreventabilityCache::new());
+    let mut results = Vec::new();
+    let mut cache = PreventabilityCache::new();
     for clause in &spec.clauses {
         for test in &clause.tests {
             let grid = TestGrid::new(
@@ -93,33 +97,37 @@ pub fn run(
                 format!("{}: {}", clause.clause, clause.summary),
             )?;
             for controller in controllers {
-                tested.push(grid.run(controller, estimator, &mut known));
+                results.push(grid.run(controller, estimator, &mut cache));
                 controller.ensure_trusted()?;
             }
         }
     }
-    Ok(assemble(spec, estimator, controllers.len(), tested))
+    Ok(assemble(spec, estimator, controllers.len(), results))
 }
 
+/// Assembles the results of all tests, which are in the order of the suite, then of the controllers.
 fn assemble(
     spec: &SuiteSpec,
     estimator: EstimatorKind,
     controllers: usize,
-    tested: impl IntoIterator<Item = ControllerResult>,
+    results: Vec<ControllerResult>,
 ) -> SuiteResult {
-    let mut tested = tested.into_iter();
-    let mut test = |test: &TestSpec| TestResult {
-        name: test.name.clone(),
-        is_as_stated: test.is_as_stated(),
-        parameters: test.parameters.clone(),
-        impact_at_most: test.impact_at_most.clone(),
-        controllers: tested.by_ref().take(controllers).collect(),
-    };
-    let clause = |clause: &ClauseSpec| ClauseResult {
-        clause: clause.clause.clone(),
-        summary: clause.summary.clone(),
-        tests: clause.tests.iter().map(&mut test).collect(),
-    };
+    let mut results = results.into_iter();
+    let mut clauses = Vec::new();
+    for clause in &spec.clauses {
+        let tests = clause.tests.iter().map(|test| TestResult {
+            name: test.name.clone(),
+            is_as_stated: test.is_as_stated(),
+            parameters: test.parameters.clone(),
+            impact_at_most: test.impact_at_most.clone(),
+            controllers: results.by_ref().take(controllers).collect(),
+        });
+        clauses.push(ClauseResult {
+            clause: clause.clause.clone(),
+            summary: clause.summary.clone(),
+            tests: tests.collect(),
+        });
+    }
     SuiteResult {
         statement: DISCLAIMER,
         suite: spec.name.clone(),
@@ -129,7 +137,7 @@ fn assemble(
         not_modelled: spec.not_modelled.clone(),
         omitted_parameters: spec.omitted_parameters.clone(),
         estimator,
-        clauses: spec.clauses.iter().map(clause).collect(),
+        clauses,
     }
 }
 
@@ -153,11 +161,11 @@ impl<'t> TestGrid<'t> {
             Vec::new()
         };
         let name = format!("{suite}-{}", test.name);
-        let named = |(point, number): (&Vec<f64>, usize)| {
+        let mut scenarios = Vec::new();
+        for (point, number) in grid.iter().zip(1..) {
             let about = format!("{about} ({}.) {DISCLAIMER}", test.describe_point(point));
-            test.scenario(&format!("{name}-{number:03}"), &about, point)
-        };
-        let scenarios = grid.iter().zip(1..).map(named).collect::<Result<_, _>>()?;
+            scenarios.push(test.scenario(&format!("{name}-{number:03}"), &about, point)?);
+        }
         Ok(Self {
             name,
             about: format!("{about} {DISCLAIMER}"),
@@ -172,38 +180,39 @@ impl<'t> TestGrid<'t> {
         &self,
         controller: &NamedController,
         estimator: EstimatorKind,
-        known: &mut PreventabilityCache,
+        cache: &mut PreventabilityCache,
     ) -> ControllerResult {
-        let driven = ControllerSetup {
+        let setup = ControllerSetup {
             controller: &controller.source,
             estimator,
         };
-        let seen = match (self.criterion, &self.test.refusal_reason) {
-            (Some(criterion), _) => driven.run_scenarios(criterion, &self.scenarios),
+        let results = match (self.criterion, &self.test.refusal_reason) {
+            (Some(criterion), _) => setup.run_scenarios(criterion, &self.scenarios),
             (None, reason) => vec![RunResult::refused(reason.clone().unwrap_or_default())],
         };
-        let of_grid = TestVerdict::worst(seen.iter().map(|seen| &seen.verdict))
+        let verdict = TestVerdict::worst(results.iter().map(|result| &result.verdict))
             .unwrap_or(&TestVerdict::Passed);
-        let gaps = seen.iter().filter_map(|seen| seen.min_gap_m);
+        let passed = results.iter().filter(|result| result.verdict.is_passed());
+        let gaps_m = results.iter().filter_map(|result| result.min_gap_m);
         ControllerResult {
             controller: controller.name.clone(),
-            verdict: of_grid.clone(),
+            verdict: verdict.clone(),
             points: self.grid.len(),
-            passed_points: seen.iter().filter(|seen| seen.verdict.is_passed()).count(),
-            min_gap_m: gaps.reduce(f64::min),
+            passed_points: passed.count(),
+            min_gap_m: gaps_m.reduce(f64::min),
             margins: self
                 .criterion
-                .map(|criterion| find_margins(self.test, criterion, &driven))
+                .map(|criterion| find_margins(self.test, criterion, &setup))
                 .unwrap_or_default(),
-            worst_in_tolerance: self.worst_in_tolerance(&driven, known),
-            failed_points: self.failed_points(&self.grid, &self.scenarios, &seen, (&driven, known)),
+            worst_in_tolerance: self.worst_in_tolerance(&setup, cache),
+            failed_points: self.failed_points(&self.grid, &self.scenarios, &results, &setup, cache),
         }
     }
 
     fn worst_in_tolerance(
         &self,
-        driven: &ControllerSetup<'_>,
-        known: &mut PreventabilityCache,
+        setup: &ControllerSetup<'_>,
+        cache: &mut PreventabilityCache,
     ) -> Option<WorstInTolerance> {
         let WorstPoint {
             point,
@@ -212,19 +221,16 @@ impl<'t> TestGrid<'t> {
             points_run,
             failures,
             unanswered,
-        } = find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
-        let (verdict, min_gap_m, words) = (
-            result.verdict.clone(),
-            result.min_gap_m,
-            self.test.describe_point(&point),
-        );
+        } = find_worst(&self.name, &self.about, self.test, self.criterion?, setup)?;
+        let description = self.test.describe_point(&point);
+        let results = std::slice::from_ref(&result);
         let failed_point = self
-            .failed_points(&[point], &[scenario], &[result], (driven, known))
+            .failed_points(&[point], &[scenario], results, setup, cache)
             .pop();
         Some(WorstInTolerance {
-            point: words,
-            verdict,
-            min_gap_m,
+            point: description,
+            verdict: result.verdict,
+            min_gap_m: result.min_gap_m,
             points_run,
             failures,
             unanswered,
@@ -232,50 +238,59 @@ impl<'t> TestGrid<'t> {
         })
     }
 
+    /// Describes the points that failed: which collisions are preventable, and which failures occur with another plant.
     fn failed_points(
         &self,
         points: &[Vec<f64>],
         scenarios: &[Scenario],
-        seen: &[RunResult],
-        (driven, known): (&ControllerSetup<'_>, &mut PreventabilityCache),
+        results: &[RunResult],
+        setup: &ControllerSetup<'_>,
+        cache: &mut PreventabilityCache,
     ) -> Vec<FailedPoint> {
-        let all = points.iter().zip(scenarios).zip(seen);
-        let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
-        // Others may have ended without a collision.
-        let collides = |seen: &RunResult| matches!(seen.verdict, TestVerdict::Failed { .. });
-        let touching = failed.iter().filter(|(_, seen)| collides(seen));
-        let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
-        let prevented = self
+        let failed: Vec<_> = points
+            .iter()
+            .zip(scenarios)
+            .zip(results)
+            .filter(|(_, result)| result.verdict.is_failure())
+            .collect();
+        // Other failures may have ended without a collision.
+        let collisions: Vec<&Scenario> = failed
+            .iter()
+            .filter(|(_, result)| result.is_collision())
+            .map(|((_, scenario), _)| *scenario)
+            .collect();
+        let mut preventabilities = self
             .criterion
-            .map(|criterion| assess_preventability(criterion, &scenarios, known))
-            .unwrap_or_default();
-        let mut prevented = prevented.into_iter();
-        let failing = failed.iter().map(|((_, scenario), _)| *scenario);
-        let mut replays = self.replay_with_multi_body(driven, failing).into_iter();
-        let nobody = || Preventability {
-            references: Vec::new(),
-            classification: AvoidabilityAnalysis::default(),
-        };
-        let with = failed.into_iter().map(|one| {
-            let prevented = if collides(one.1) {
-                prevented.next()
-            } else {
-                None
-            };
-            (one, prevented.unwrap_or_else(nobody))
-        });
-        let told = with.map(|(((point, scenario), seen), prevented)| FailedPoint {
-            point: self.test.describe_point(point),
-            verdict: seen.verdict.clone(),
-            references: prevented.references,
-            avoidability: prevented.classification.avoidability,
-            survives_multi_body: replays.next().flatten(),
-            escape_survives_multi_body: prevented.classification.escape_survives,
-            escape: prevented.classification.escape,
-            scenario_name: scenario.spec().name.clone(),
-            scenario: scenario.clone(),
-        });
-        told.collect()
+            .map(|criterion| assess_preventability(criterion, &collisions, cache))
+            .unwrap_or_default()
+            .into_iter();
+        let failed_scenarios = failed.iter().map(|((_, scenario), _)| *scenario);
+        let mut replays = self
+            .replay_with_multi_body(setup, failed_scenarios)
+            .into_iter();
+        let mut failed_points = Vec::new();
+        for ((point, scenario), result) in failed {
+            let preventability = result
+                .is_collision()
+                .then(|| preventabilities.next())
+                .flatten();
+            let Preventability {
+                references,
+                classification,
+            } = preventability.unwrap_or_default();
+            failed_points.push(FailedPoint {
+                point: self.test.describe_point(point),
+                verdict: result.verdict.clone(),
+                references,
+                avoidability: classification.avoidability,
+                survives_multi_body: replays.next().flatten(),
+                escape_survives_multi_body: classification.escape_survives,
+                escape: classification.escape,
+                scenario_name: scenario.spec().name.clone(),
+                scenario: scenario.clone(),
+            });
+        }
+        failed_points
     }
 }
 
@@ -283,21 +298,23 @@ impl TestGrid<'_> {
     /// Replays scenarios with the multi-body plant. Returns which fail; `None` if the controller refuses the plant.
     fn replay_with_multi_body<'s>(
         &self,
-        driven: &ControllerSetup<'_>,
+        setup: &ControllerSetup<'_>,
         scenarios: impl Iterator<Item = &'s Scenario>,
     ) -> Vec<Option<bool>> {
         let with_plant: Result<Vec<_>, _> = scenarios
             .map(|scenario| scenario.with_plant(CONFIRMING_PLANT))
             .collect();
-        let (Ok(with_plant), Some(criterion)) = (with_plant, self.criterion) else {
+        let Some((with_plant, criterion)) = with_plant.ok().zip(self.criterion) else {
             return Vec::new();
         };
-        let seen = driven.run_scenarios(criterion, &with_plant).into_iter();
-        seen.map(|seen| match seen.verdict {
-            TestVerdict::Refused { .. } => None,
-            verdict => Some(verdict.is_failure()),
-        })
-        .collect()
+        setup
+            .run_scenarios(criterion, &with_plant)
+            .into_iter()
+            .map(|result| match result.verdict {
+                TestVerdict::Refused { .. } => None,
+                verdict => Some(verdict.is_failure()),
+            })
+            .collect()
     }
 }
 
@@ -327,14 +344,17 @@ impl ControllerSetup<'_> {
             );
             runs.extend(run.ok());
         }
-        let mut seen = simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| {
+        let mut results = simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| {
             judge(criterion, &simulated)
         })
         .into_iter();
-        let unseen = || RunResult::refused("was not run".to_owned());
         refused
             .into_iter()
-            .map(|refused| refused.or_else(|| seen.next()).unwrap_or_else(unseen))
+            .map(|refused| {
+                refused
+                    .or_else(|| results.next())
+                    .unwrap_or_else(|| RunResult::refused("was not run".to_owned()))
+            })
             .collect()
     }
 }
@@ -373,22 +393,24 @@ fn judge(criterion: Criterion, simulated: &SimulationResult) -> RunResult {
 
 /// Returns the time at which the test ends; later collisions do not count.
 fn test_end_s(lead: LeadManeuver, trace: &Trace) -> Option<f64> {
-    let is_over = |ahead_mps: f64, own_mps: f64| match lead {
+    let pairs = trace.pairs(lead.under_test_index());
+    let pair = pairs.last()?;
+    pair.gaps_m()
+        .find(|&(sample, _)| {
+            let speeds_mps = pair
+                .front
+                .speed_mps
+                .get(sample)
+                .zip(pair.rear.speed_mps.get(sample));
+            speeds_mps.is_some_and(|(&ahead_mps, &own_mps)| is_test_over(lead, ahead_mps, own_mps))
+        })
+        .and_then(|(sample, _)| pair.time_s.get(sample).copied())
+}
+
+fn is_test_over(lead: LeadManeuver, ahead_mps: f64, own_mps: f64) -> bool {
+    match lead {
         LeadManeuver::Slower | LeadManeuver::CutIn => own_mps <= ahead_mps,
         LeadManeuver::Stopped | LeadManeuver::Decelerating | LeadManeuver::CutOut => own_mps == 0.0,
         LeadManeuver::Ghost => false,
-    };
-    let pairs = trace.pairs(lead.under_test_index());
-    let pair = pairs.last()?;
-    let over = |sample: usize| {
-        let speeds = pair
-            .front
-            .speed_mps
-            .get(sample)
-            .zip(pair.rear.speed_mps.get(sample));
-        speeds.is_some_and(|(&ahead_mps, &own_mps)| is_over(ahead_mps, own_mps))
-    };
-    pair.gaps_m()
-        .find(|(sample, _)| over(*sample))
-        .and_then(|(sample, _)| pair.time_s.get(sample).copied())
+    }
 }

@@ -31,11 +31,8 @@ const VEHICLE_CLASS: VehicleClass = VehicleClass::Light;
 impl TestSpec {
     /// Returns the value of a parameter at a point, in SI units; 0 if it is not stated.
     pub(super) fn si_value(&self, point: &[f64], parameter: ParameterKind) -> f64 {
-        let value = |(place, figure): (usize, &super::TestParameter)| {
-            Some(point.get(place)? * figure.unit.si_factor())
-        };
         self.find_parameter(parameter)
-            .and_then(value)
+            .and_then(|(position, figure)| Some(point.get(position)? * figure.unit.si_factor()))
             .unwrap_or(0.0)
     }
 
@@ -50,7 +47,10 @@ impl TestSpec {
         point: &[f64],
     ) -> Result<Scenario, InvalidField> {
         let own_mps = self.si_value(point, ParameterKind::OwnSpeed);
-        let (mut vehicles, meets_s) = self.vehicles_ahead(point, own_mps);
+        let VehiclesAhead {
+            mut vehicles,
+            meets_s,
+        } = self.vehicles_ahead(point, own_mps);
         vehicles.push(VehicleSpec::new(
             VEHICLE_CLASS,
             0.0,
@@ -74,11 +74,10 @@ impl TestSpec {
     }
 
     fn sensor_faults(&self, point: &[f64], own_mps: f64) -> SensorFaults {
-        let si = |parameter| self.si_value(point, parameter);
         let ghost = (self.lead == Some(LeadManeuver::Ghost)).then(|| GhostObject {
             onset_s: GHOST_ONSET_S,
-            duration_s: si(ParameterKind::GhostTime),
-            gap_m: si(ParameterKind::ClosingTime) * own_mps,
+            duration_s: self.si_value(point, ParameterKind::GhostTime),
+            gap_m: self.si_value(point, ParameterKind::ClosingTime) * own_mps,
             speed_mps: 0.0,
         });
         SensorFaults {
@@ -94,62 +93,74 @@ impl TestSpec {
         }
     }
 
-    /// Returns the vehicles ahead, and the time, in seconds, at which the vehicle under test would reach them without
-    /// braking or at which a braking leader stands.
-    fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
-        let si = |parameter| self.si_value(point, parameter);
-        let steady = |gap_m: f64, speed_mps: f64| {
-            scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed)
-        };
-        let closing_s = si(ParameterKind::ClosingTime);
+    fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> VehiclesAhead {
+        let closing_s = self.si_value(point, ParameterKind::ClosingTime);
+        let lead_mps = self.si_value(point, ParameterKind::LeadSpeed);
         match self.lead {
-            Some(LeadManeuver::Decelerating) => {
-                let (rate_mps2, ramp_s) =
-                    (si(ParameterKind::Deceleration), si(ParameterKind::Ramp));
-                let mut lead = scripted_vehicle(
-                    self.gap_m(point, own_mps),
-                    own_mps,
-                    braking_profile(rate_mps2, ramp_s),
-                );
-                if rate_mps2 > VEHICLE_CLASS.max_brake_mps2() {
-                    lead.max_brake_mps2 = Some(rate_mps2);
-                }
-                (vec![lead], ramp_s + own_mps / rate_mps2.max(0.1))
-            }
+            Some(LeadManeuver::Decelerating) => self.decelerating_leader(point, own_mps),
             Some(LeadManeuver::CutIn) => {
-                let lead_mps = si(ParameterKind::LeadSpeed);
-                let mut lead = steady(closing_s * (own_mps - lead_mps), lead_mps);
+                let mut lead = steady_vehicle(closing_s * (own_mps - lead_mps), lead_mps);
                 lead.enters = Some(LaneChange::At(ONSET_S));
-                (
-                    vec![steady(lead.position_m + DUMMY_LEAD_GAP_M, own_mps), lead],
-                    closing_s,
-                )
+                VehiclesAhead {
+                    vehicles: vec![
+                        steady_vehicle(lead.position_m + DUMMY_LEAD_GAP_M, own_mps),
+                        lead,
+                    ],
+                    meets_s: closing_s,
+                }
             }
             Some(LeadManeuver::CutOut) => {
-                let mut lead = steady(self.gap_m(point, own_mps), own_mps);
+                let mut lead = steady_vehicle(self.gap_m(point, own_mps), own_mps);
                 lead.leaves = Some(LaneChange::At(CUT_OUT_S));
                 let meets_s = CUT_OUT_S + closing_s;
-                (
-                    vec![steady(lead.position_m + meets_s * own_mps, 0.0), lead],
+                let standing = steady_vehicle(lead.position_m + meets_s * own_mps, 0.0);
+                VehiclesAhead {
+                    vehicles: vec![standing, lead],
                     meets_s,
-                )
+                }
             }
-            Some(LeadManeuver::Slower) => {
-                let lead_mps = si(ParameterKind::LeadSpeed);
-                (
-                    vec![steady(closing_s * (own_mps - lead_mps), lead_mps)],
-                    closing_s,
-                )
-            }
-            Some(LeadManeuver::Ghost) => (
-                vec![steady(DUMMY_LEAD_GAP_M, own_mps)],
-                GHOST_ONSET_S + closing_s,
-            ),
-            Some(LeadManeuver::Stopped) | None => {
-                (vec![steady(closing_s * own_mps, 0.0)], closing_s)
-            }
+            Some(LeadManeuver::Slower) => VehiclesAhead {
+                vehicles: vec![steady_vehicle(closing_s * (own_mps - lead_mps), lead_mps)],
+                meets_s: closing_s,
+            },
+            Some(LeadManeuver::Ghost) => VehiclesAhead {
+                vehicles: vec![steady_vehicle(DUMMY_LEAD_GAP_M, own_mps)],
+                meets_s: GHOST_ONSET_S + closing_s,
+            },
+            Some(LeadManeuver::Stopped) | None => VehiclesAhead {
+                vehicles: vec![steady_vehicle(closing_s * own_mps, 0.0)],
+                meets_s: closing_s,
+            },
         }
     }
+
+    /// Returns a leader that brakes to standstill, if necessary harder than its class can.
+    fn decelerating_leader(&self, point: &[f64], own_mps: f64) -> VehiclesAhead {
+        let rate_mps2 = self.si_value(point, ParameterKind::Deceleration);
+        let ramp_s = self.si_value(point, ParameterKind::Ramp);
+        let mut lead = scripted_vehicle(
+            self.gap_m(point, own_mps),
+            own_mps,
+            braking_profile(rate_mps2, ramp_s),
+        );
+        if rate_mps2 > VEHICLE_CLASS.max_brake_mps2() {
+            lead.max_brake_mps2 = Some(rate_mps2);
+        }
+        VehiclesAhead {
+            vehicles: vec![lead],
+            meets_s: ramp_s + own_mps / rate_mps2.max(0.1),
+        }
+    }
+}
+
+struct VehiclesAhead {
+    vehicles: Vec<VehicleSpec>,
+    /// Time at which the vehicle under test would reach them without braking, or at which a braking leader stands.
+    meets_s: f64,
+}
+
+fn steady_vehicle(gap_m: f64, speed_mps: f64) -> VehicleSpec {
+    scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed)
 }
 
 fn scripted_vehicle(gap_m: f64, speed_mps: f64, profile: LeadProfile) -> VehicleSpec {

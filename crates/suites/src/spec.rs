@@ -213,11 +213,13 @@ impl TestSpec {
         self.parameters
             .iter()
             .fold(vec![Vec::new()], |points, (_, figure)| {
-                let extended = |point: &Vec<f64>| {
-                    let each = |&value: &f64| point.iter().copied().chain([value]).collect();
-                    figure.values.iter().map(each).collect::<Vec<_>>()
-                };
-                points.iter().flat_map(extended).collect()
+                let mut extended = Vec::new();
+                for point in &points {
+                    for &value in &figure.values {
+                        extended.push(point.iter().copied().chain([value]).collect());
+                    }
+                }
+                extended
             })
     }
 
@@ -235,8 +237,8 @@ impl TestSpec {
     ) -> Option<(usize, &TestParameter)> {
         let mut stated = self.parameters.iter().enumerate();
         stated
-            .find(|(_, (found, _))| *found == parameter)
-            .map(|(place, (_, figure))| (place, figure))
+            .find(|(_, (kind, _))| *kind == parameter)
+            .map(|(position, (_, figure))| (position, figure))
     }
 
     /// Describes a point, as in `own speed 50 km/h, gap 12 m`.
@@ -246,23 +248,23 @@ impl TestSpec {
     }
 
     pub(super) fn describe_point_without(&self, point: &[f64], without: Option<usize>) -> String {
-        let each = self
-            .parameters
-            .iter()
-            .zip(point)
-            .enumerate()
-            .filter(|(place, _)| Some(*place) != without);
-        let words = each.map(|(_, ((parameter, figure), value))| {
-            format!("{} {value} {}", parameter.label(), figure.unit)
-        });
-        words.collect::<Vec<_>>().join(", ")
+        let mut values = Vec::new();
+        for (position, ((parameter, figure), value)) in
+            self.parameters.iter().zip(point).enumerate()
+        {
+            if Some(position) != without {
+                values.push(format!("{} {value} {}", parameter.label(), figure.unit));
+            }
+        }
+        values.join(", ")
     }
 }
 
-pub(super) fn with_value(point: &[f64], place: usize, value: f64) -> Vec<f64> {
+/// Returns a point with another value at a position.
+pub(super) fn with_value(point: &[f64], position: usize, value: f64) -> Vec<f64> {
     point
         .iter()
         .enumerate()
-        .map(|(at, &old)| if at == place { value } else { old })
+        .map(|(index, &old)| if index == position { value } else { old })
         .collect()
 }

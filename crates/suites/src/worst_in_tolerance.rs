@@ -10,7 +10,7 @@ use super::run::{ControllerSetup, Criterion, RunResult};
 use super::spec::TestSpec;
 use crumple_core::digest::sha256;
 use crumple_sim::engine::FailedControllerRuns;
-use crumple_sim::random::{self, Purpose};
+use crumple_sim::random::{self, Purpose, Stream};
 use crumple_sim::scenario::Scenario;
 
 /// Number of uniform samples; a grid with more points has one sample per point. The search then makes [`REFINEMENTS`]
@@ -69,14 +69,14 @@ impl SearchRange<'_> {
 }
 
 fn search_ranges(test: &TestSpec) -> Vec<SearchRange<'_>> {
-    let stated = test.parameters.iter().enumerate();
-    let range = |(place, (parameter, figure)): (usize, (_, _))| SearchRange {
-        position: place,
-        figure,
-        spans_grid: test.ranges.contains(&parameter),
-    };
-    stated
-        .map(range)
+    test.parameters
+        .iter()
+        .enumerate()
+        .map(|(position, (parameter, figure))| SearchRange {
+            position,
+            figure,
+            spans_grid: test.ranges.contains(&parameter),
+        })
         .filter(|range| range.spans_grid || range.figure.tolerance > 0.0)
         .collect()
 }
@@ -88,7 +88,7 @@ pub(super) fn find_worst(
     about: &str,
     test: &TestSpec,
     criterion: Criterion,
-    driven: &ControllerSetup<'_>,
+    setup: &ControllerSetup<'_>,
 ) -> Option<WorstPoint> {
     let ranges = search_ranges(test);
     if ranges.is_empty() {
@@ -100,46 +100,27 @@ pub(super) fn find_worst(
         about,
         test,
         criterion,
-        driven,
+        setup,
+        ranges,
+        stream: random::stream(0, Purpose::Search, 1),
         worst: None,
         points_run: 0,
         failures: 0,
         unanswered: None,
     };
-    let mut stream = random::stream(0, Purpose::Search, 1);
-    let drawn = (0..SAMPLES.max(grid.len())).filter_map(|index| {
-        let home = grid.get(index % grid.len())?;
-        let draw = |[low, high]: [f64; 2], _| low + (high - low) * stream.random::<f64>();
-        Some((home.as_slice(), perturb(home, home, &ranges, draw)))
-    });
-    search.evaluate(drawn.collect());
+    search.sample_around(&grid);
     for round in 1..=REFINEMENTS {
-        let Some((home, centre)) = search
-            .worst
-            .as_ref()
-            .map(|(home, worst)| (*home, worst.point.clone()))
-        else {
-            break;
-        };
-        let width = 0.25 * 0.5_f64.powi(round);
-        let near = (0..SAMPLES_PER_REFINEMENT).map(|_| {
-            let draw = |[low, high]: [f64; 2], value: f64| {
-                let normal: f64 = StandardNormal.sample(&mut stream);
-                value + width * (high - low) * normal
-            };
-            (home, perturb(home, &centre, &ranges, draw))
-        });
-        search.evaluate(near.collect());
+        search.refine(round);
     }
     let WorstPointSearch {
-        points_run: tried,
+        points_run,
         failures,
         unanswered,
         worst,
         ..
     } = search;
     worst.map(|(_, worst)| WorstPoint {
-        points_run: tried,
+        points_run,
         failures,
         unanswered,
         ..worst
@@ -154,7 +135,9 @@ struct WorstPointSearch<'t> {
     about: &'t str,
     test: &'t TestSpec,
     criterion: Criterion,
-    driven: &'t ControllerSetup<'t>,
+    setup: &'t ControllerSetup<'t>,
+    ranges: Vec<SearchRange<'t>>,
+    stream: Stream,
     worst: Option<(&'t [f64], WorstPoint)>,
     points_run: usize,
     failures: usize,
@@ -162,35 +145,57 @@ struct WorstPointSearch<'t> {
 }
 
 impl<'t> WorstPointSearch<'t> {
-    fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
-        let made = points.into_iter().filter_map(|(home, point)| {
-            let name = format!(
-                "{}-within-{}",
-                self.name,
-                sha256(self.test.describe_point(&point)).get(..8)?
+    /// Evaluates uniform samples around the points of the grid.
+    fn sample_around(&mut self, grid: &'t [Vec<f64>]) {
+        let mut samples = Vec::new();
+        for grid_point in grid.iter().cycle().take(SAMPLES.max(grid.len())) {
+            let sample = perturb(grid_point, grid_point, &self.ranges, |[low, high], _| {
+                low + (high - low) * self.stream.random::<f64>()
+            });
+            samples.push((grid_point.as_slice(), sample));
+        }
+        self.evaluate(samples);
+    }
+
+    /// Evaluates samples near the worst point so far, nearer with each round from 1.
+    fn refine(&mut self, round: i32) {
+        let Some((grid_point, worst)) = &self.worst else {
+            return;
+        };
+        let width = 0.25 * 0.5_f64.powi(round);
+        let mut samples = Vec::new();
+        for _ in 0..SAMPLES_PER_REFINEMENT {
+            let sample = perturb(
+                grid_point,
+                &worst.point,
+                &self.ranges,
+                |[low, high], value| {
+                    let normal: f64 = StandardNormal.sample(&mut self.stream);
+                    value + width * (high - low) * normal
+                },
             );
-            let about = format!("{} ({}.)", self.about, self.test.describe_point(&point));
-            Some((
-                self.test.scenario(&name, &about, &point).ok()?,
-                (home, point),
-            ))
-        });
-        let (scenarios, points): (Vec<Scenario>, Vec<GridNeighbor<'t>>) = made.unzip();
-        let seen = self.driven.run_scenarios(self.criterion, &scenarios);
-        self.points_run += seen
-            .iter()
-            .filter(|seen| !seen.verdict.is_refusal())
-            .count();
-        self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
-        seen.iter().for_each(|seen| {
-            FailedControllerRuns::merge(&mut self.unanswered, seen.verdict.unanswered())
-        });
-        for (((home, point), scenario), result) in points.into_iter().zip(scenarios).zip(seen) {
-            if self
+            samples.push((*grid_point, sample));
+        }
+        self.evaluate(samples);
+    }
+
+    fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
+        let (scenarios, points): (Vec<Scenario>, Vec<GridNeighbor<'t>>) = points
+            .into_iter()
+            .filter_map(|(grid_point, point)| Some((self.scenario(&point)?, (grid_point, point))))
+            .unzip();
+        let results = self.setup.run_scenarios(self.criterion, &scenarios);
+        for (((grid_point, point), scenario), result) in
+            points.into_iter().zip(scenarios).zip(results)
+        {
+            self.points_run += usize::from(!result.verdict.is_refusal());
+            self.failures += usize::from(result.verdict.is_failure());
+            FailedControllerRuns::merge(&mut self.unanswered, result.verdict.unanswered());
+            let is_worse = self
                 .worst
                 .as_ref()
-                .is_none_or(|(_, worst)| severity_key(&result) > severity_key(&worst.result))
-            {
+                .is_none_or(|(_, worst)| severity_key(&result) > severity_key(&worst.result));
+            if is_worse {
                 let worst = WorstPoint {
                     point,
                     scenario,
@@ -199,22 +204,31 @@ impl<'t> WorstPointSearch<'t> {
                     failures: 0,
                     unanswered: None,
                 };
-                self.worst = Some((home, worst));
+                self.worst = Some((grid_point, worst));
             }
         }
     }
+
+    /// Returns the scenario of a point; `None` if it is invalid.
+    fn scenario(&self, point: &[f64]) -> Option<Scenario> {
+        let description = self.test.describe_point(point);
+        let name = format!("{}-within-{}", self.name, sha256(&description).get(..8)?);
+        let about = format!("{} ({description}.)", self.about);
+        self.test.scenario(&name, &about, point).ok()
+    }
 }
 
-/// Replaces each searched value of `from` by `draw(bounds, value)`, limited to its bounds around the grid point `home`.
+/// Replaces each searched value of `from` by `draw(bounds, value)`, limited to its bounds around the grid point.
 fn perturb(
-    home: &[f64],
+    grid_point: &[f64],
     from: &[f64],
     ranges: &[SearchRange<'_>],
     mut draw: impl FnMut([f64; 2], f64) -> f64,
 ) -> Vec<f64> {
     let mut point = from.to_vec();
     for range in ranges {
-        if let (Some([low, high]), Some(value)) = (range.ends(home), point.get_mut(range.position))
+        if let (Some([low, high]), Some(value)) =
+            (range.ends(grid_point), point.get_mut(range.position))
         {
             *value = round_to_thousandth(draw([low, high], *value)).clamp(low, high);
         }
@@ -227,10 +241,10 @@ fn round_to_thousandth(value: f64) -> f64 {
 }
 
 /// Returns a sort key: collisions by speed, then controller failures, then small gaps. Refused points rank last.
-fn severity_key(seen: &RunResult) -> (u8, f64) {
-    match &seen.verdict {
+fn severity_key(result: &RunResult) -> (u8, f64) {
+    match &result.verdict {
         TestVerdict::Refused { .. } => (0, 0.0),
-        TestVerdict::Passed => (1, -seen.min_gap_m.unwrap_or(f64::INFINITY)),
+        TestVerdict::Passed => (1, -result.min_gap_m.unwrap_or(f64::INFINITY)),
         TestVerdict::ControllerFailed { .. } => (2, 0.0),
         TestVerdict::Braked { max_brake_mps2 } => (3, *max_brake_mps2),
         TestVerdict::Failed {

@@ -1,7 +1,7 @@
 //! Tests of a controller in many scenarios.
 
 use std::path::{Path, PathBuf};
-use std::{env, fs, panic, thread};
+use std::{env, fs, io, panic, thread};
 
 use crumple_controllers::Controllers;
 use crumple_core::digest::sha256;
@@ -180,14 +180,14 @@ impl ControllerCheck {
         let properties = self.properties();
         let scenarios = std::mem::replace(&mut self.scenarios, Ok(Scenarios::any()))?;
         let replayed = env::var_os(REPLAY).map(PathBuf::from);
-        let known = replayed.as_deref().unwrap_or(&self.corpus);
-        let known = if known.exists() || replayed.is_some() {
-            load_all(known, &self.controllers)?
+        let path = replayed.as_deref().unwrap_or(&self.corpus);
+        let corpus = if path.exists() || replayed.is_some() {
+            load_all(path, &self.controllers)?
         } else {
             Vec::new()
         };
         self.cases = if replayed.is_some() { 0 } else { self.cases };
-        self.check_known(&properties, &known)?;
+        self.check_corpus(&properties, &corpus)?;
         let mut summary = CheckSummary {
             evaluated: 0,
             not_applicable: 0,
@@ -200,13 +200,13 @@ impl ControllerCheck {
     }
 
     /// Evaluates the scenarios of the corpus. Without random scenarios, one of them must test each property.
-    fn check_known(
+    fn check_corpus(
         &self,
         properties: &[Property],
-        known: &[(PathBuf, Scenario)],
+        corpus: &[(PathBuf, Scenario)],
     ) -> Result<(), CheckError> {
         let mut reasons = vec![Some("there are no scenarios".to_owned()); properties.len()];
-        for (file, scenario) in known {
+        for (file, scenario) in corpus {
             for (property, reason) in properties.iter().zip(&mut reasons) {
                 match self.evaluate(property, scenario) {
                     PropertyVerdict::Holds => *reason = None,
@@ -214,19 +214,8 @@ impl ControllerCheck {
                         *reason = reason.is_some().then_some(why)
                     }
                     PropertyVerdict::Violated(finding) => {
-                        let shrunk = ShrunkScenario {
-                            scenario: scenario.clone(),
-                            changes: Vec::new(),
-                        };
-                        let count = "a scenario of the corpus".to_owned();
-                        return Err(Box::new(self.failure(
-                            property,
-                            finding,
-                            shrunk,
-                            file.clone(),
-                            count,
-                        ))
-                        .into());
+                        let failure = self.corpus_failure(property, finding, scenario, file);
+                        return Err(failure.into());
                     }
                 }
             }
@@ -244,22 +233,37 @@ impl ControllerCheck {
         }
     }
 
+    fn corpus_failure(
+        &self,
+        property: &Property,
+        finding: String,
+        scenario: &Scenario,
+        file: &Path,
+    ) -> Box<PropertyFailure> {
+        let unchanged = ShrunkScenario {
+            scenario: scenario.clone(),
+            changes: Vec::new(),
+        };
+        let count = "a scenario of the corpus".to_owned();
+        Box::new(self.failure(property, finding, unchanged, file.to_owned(), count))
+    }
+
     /// Evaluates random scenarios and returns the number of those that do not test the property.
     fn check_random(
         &self,
         property: &Property,
         scenarios: &Scenarios,
     ) -> Result<usize, CheckError> {
-        let (mut not_applicable, mut last_reason) = (0, String::new());
+        let mut not_applicable = 0;
+        let mut last_reason = String::new();
         for from in (0..self.cases).step_by(BATCH_CASES as usize) {
             let to = self.cases.min(from.saturating_add(BATCH_CASES));
-            let evaluate = |case: u32| {
-                let mut rng = stream(self.seed, Purpose::ScenarioSampling, case.into());
-                let bytes = scenarios.random_bytes(&mut rng);
-                (self.evaluate(property, &scenarios.read(&bytes)), bytes)
-            };
-            let batch: Vec<_> = (from..to).into_par_iter().map(evaluate).collect();
-            let (mut failing, mut first) = (0, None);
+            let batch: Vec<_> = (from..to)
+                .into_par_iter()
+                .map(|case| self.evaluate_case(property, scenarios, case))
+                .collect();
+            let mut failing = 0;
+            let mut first = None;
             for (verdict, bytes) in batch {
                 match verdict {
                     PropertyVerdict::Holds => {}
@@ -287,6 +291,18 @@ impl ControllerCheck {
             });
         }
         Ok(not_applicable)
+    }
+
+    /// Returns the verdict of the random scenario of a case, and the bytes of the scenario.
+    fn evaluate_case(
+        &self,
+        property: &Property,
+        scenarios: &Scenarios,
+        case: u32,
+    ) -> (PropertyVerdict, Vec<u8>) {
+        let mut rng = stream(self.seed, Purpose::ScenarioSampling, case.into());
+        let bytes = scenarios.random_bytes(&mut rng);
+        (self.evaluate(property, &scenarios.read(&bytes)), bytes)
     }
 
     fn evaluate(&self, property: &Property, scenario: &Scenario) -> PropertyVerdict {
@@ -323,32 +339,30 @@ impl ControllerCheck {
             )));
         };
         let text = to_toml(&shrunk.scenario).unwrap_or_default();
-        let slug = property
-            .name()
-            .replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
-        let name = format!(
-            "{}-{}",
-            slug.get(..40).unwrap_or(&slug),
-            sha256(&text).get(..8).unwrap_or_default()
-        );
-        let file = self.corpus.join(name).with_extension("toml");
+        let file = self
+            .corpus
+            .join(corpus_file_name(property, &text))
+            .with_extension("toml");
         let count = format!("{count}; shrunk by {simulated} evaluations");
-        let write = || {
-            fs::create_dir_all(&self.corpus)?;
-            let curves = self.controller.curves(&shrunk.scenario);
-            fs::write(
-                file.with_extension("svg"),
-                drawing::to_svg(&curves, shrunk.scenario.spec().duration_s),
-            )?;
-            fs::write(&file, text)
-        };
-        write().map_err(|source| CheckError::Write {
-            path: self.corpus.clone(),
-            source,
-        })?;
+        self.write_to_corpus(&file, &shrunk.scenario, &text)
+            .map_err(|source| CheckError::Write {
+                path: self.corpus.clone(),
+                source,
+            })?;
         Ok(Box::new(
             self.failure(property, finding, shrunk, file, count),
         ))
+    }
+
+    /// Writes the text of a scenario and the drawing of its run.
+    fn write_to_corpus(&self, file: &Path, scenario: &Scenario, text: &str) -> io::Result<()> {
+        fs::create_dir_all(&self.corpus)?;
+        let curves = self.controller.curves(scenario);
+        fs::write(
+            file.with_extension("svg"),
+            drawing::to_svg(&curves, scenario.spec().duration_s),
+        )?;
+        fs::write(file, text)
     }
 
     fn failure(
@@ -390,16 +404,28 @@ impl ControllerCheck {
                 .file()
                 .map(|file| file.path().to_string_lossy().into_owned()),
         };
-        let simulate = |name: String| {
+        let simulate = name.map(|name| {
             let estimator = self.controller.estimator.name();
             let controller = ShellWord(&name);
             format!(
                 "crumple simulate {} --controller {controller} --estimator {estimator}",
                 ShellWord(&file)
             )
-        };
-        std::iter::once(test).chain(name.map(simulate)).collect()
+        });
+        std::iter::once(test).chain(simulate).collect()
     }
+}
+
+/// Returns the name of the file of a scenario, without extension: the violated property and a digest of the text.
+fn corpus_file_name(property: &Property, text: &str) -> String {
+    let slug = property
+        .name()
+        .replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+    format!(
+        "{}-{}",
+        slug.get(..40).unwrap_or(&slug),
+        sha256(text).get(..8).unwrap_or_default()
+    )
 }
 
 /// Returns the number in an environment variable; `None` without the variable.

@@ -24,22 +24,18 @@ pub(super) fn curves(scenario: &Scenario, trace: &Trace) -> Vec<Curve> {
         .iter()
         .enumerate()
         .filter(|(index, _)| scenario.is_under_test(*index));
-    let of_vehicle = |(index, track): (usize, &crumple_sim::engine::Track)| {
-        let gaps_m: Vec<f64> = trace.gaps_m(index).into_iter().flatten().collect();
-        let gap = Curve {
-            name: format!("gap ahead of vehicle {index}, m"),
-            values: gaps_m,
-        };
-        [
-            gap,
-            Curve {
+    under_test
+        .flat_map(|(index, track)| {
+            let gap = Curve {
+                name: format!("gap ahead of vehicle {index}, m"),
+                values: trace.gaps_m(index).into_iter().flatten().collect(),
+            };
+            let speed = Curve {
                 name: format!("speed of vehicle {index}, m/s"),
                 values: track.speed_mps.clone(),
-            },
-        ]
-    };
-    under_test
-        .flat_map(of_vehicle)
+            };
+            [gap, speed]
+        })
         .filter(|curve| !curve.values.is_empty())
         .collect()
 }
@@ -54,7 +50,8 @@ impl Curve {
 
     /// Returns the values of as many samples, each as a share of the largest.
     fn shares(&self, samples: usize) -> impl Iterator<Item = f64> {
-        let (last, max) = (self.values.len() - 1, self.max());
+        let last = self.values.len() - 1;
+        let max = self.max();
         (0..samples)
             .map(move |sample| (self.values[sample * last / (samples - 1)] / max).clamp(0.0, 1.0))
     }
@@ -62,14 +59,16 @@ impl Curve {
 
 /// Draws each curve as a line of bars.
 pub(super) fn to_text(curves: &[Curve]) -> String {
-    let line = |curve: &Curve| {
+    let mut text = String::new();
+    for curve in curves {
         let bars: String = curve
             .shares(COLUMNS)
             .map(|share| BARS[(share * 7.0).round() as usize])
             .collect();
-        format!("  {bars} {}, at most {:.1}\n", curve.name, curve.max())
-    };
-    curves.iter().map(line).collect()
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "  {bars} {}, at most {:.1}", curve.name, curve.max());
+    }
+    text
 }
 
 /// Draws each curve in a panel of its own.
@@ -86,12 +85,17 @@ pub(super) fn to_svg(curves: &[Curve], duration_s: f64) -> String {
     for (index, curve) in curves.iter().enumerate() {
         let top = MARGIN + (height + MARGIN) * index as f64;
         let samples = curve.values.len().clamp(2, width as usize);
-        let place = |(sample, share): (usize, f64)| {
-            let x = MARGIN + width * sample as f64 / (samples - 1) as f64;
-            format!("{x:.1},{:.1}", top + height * (1.0 - share))
-        };
-        let points: Vec<_> = curve.shares(samples).enumerate().map(place).collect();
-        let (name, max, base) = (&curve.name, curve.max(), top + height);
+        let points: Vec<_> = curve
+            .shares(samples)
+            .enumerate()
+            .map(|(sample, share)| {
+                let x = MARGIN + width * sample as f64 / (samples - 1) as f64;
+                format!("{x:.1},{:.1}", top + height * (1.0 - share))
+            })
+            .collect();
+        let name = &curve.name;
+        let max = curve.max();
+        let base = top + height;
         // Writing to a string does not fail.
         let _ = write!(
             svg,

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crumple_sim::scenario::{Driver, Scenario, ScenarioSpec};
+use crumple_sim::scenario::{Driver, Scenario};
 
 /// A change that should make no scenario worse. A scenario violates the relation if it fails, although its partner with
 /// less of the change passes.
@@ -48,14 +48,14 @@ impl MetamorphicRelation {
                 scenario.edited(|spec| spec.environment.friction -= by).ok()
             }
             Self::EarlierReaction { by_s } => {
-                let delay = |spec: &mut ScenarioSpec| {
+                let delayed = scenario.edited(|spec| {
                     let under_test = spec
                         .vehicles
                         .iter_mut()
                         .filter(|vehicle| vehicle.driver == Driver::UnderTest);
                     under_test.for_each(|vehicle| vehicle.reaction_delay_s += by_s);
-                };
-                scenario.edited(delay).ok()
+                });
+                delayed.ok()
             }
         }
     }

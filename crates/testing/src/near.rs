@@ -15,50 +15,6 @@ const SHARE: f64 = 0.25;
 /// Returns the space in which friction, gaps, speeds, delays and the leader's script vary around a scenario. Parameters
 /// that some point would make invalid stay fixed.
 pub(super) fn space_near(scenario: &Scenario) -> Result<ScenarioSpace, InvalidSpace> {
-    let mut fields = vec![(
-        "environment.friction".to_owned(),
-        "1",
-        [scenario.spec().environment.friction; 2],
-    )];
-    fields[0].2[0] *= 1.0 - SHARE;
-    let around = |value: f64| [value * (1.0 - SHARE), value * (1.0 + SHARE)];
-    for (index, vehicle) in scenario.vehicles().iter().enumerate() {
-        let mut add = |field: &str, unit, range| {
-            fields.push((format!("vehicles[{index}].{field}"), unit, range))
-        };
-        add("speed_mps", "m/s", around(vehicle.speed_mps));
-        if let Some(gap_m) = scenario.initial_gap_m(index) {
-            add("gap_m", "m", around(gap_m));
-        }
-        if vehicle.driver == Driver::UnderTest {
-            add(
-                "reaction_delay_s",
-                "s",
-                [vehicle.reaction_delay_s, vehicle.reaction_delay_s + 0.3],
-            );
-        }
-        let Driver::Profile(profile) = &vehicle.driver else {
-            continue;
-        };
-        match profile {
-            LeadProfile::Brake(brake) => {
-                add("driver.brake.onset_s", "s", around(brake.onset_s));
-                add("driver.brake.rate_mps2", "m/s²", around(brake.rate_mps2));
-            }
-            LeadProfile::RampBrake(brake) => add(
-                "driver.ramp-brake.rate_mps2",
-                "m/s²",
-                around(brake.rate_mps2),
-            ),
-            LeadProfile::BrakeToSpeed(brake) => add(
-                "driver.brake-to-speed.rate_mps2",
-                "m/s²",
-                around(brake.rate_mps2),
-            ),
-            LeadProfile::Pieces(_) => add("driver.pieces.scale", "1", around(1.0)),
-            LeadProfile::ConstantSpeed | LeadProfile::Recorded(_) => {}
-        }
-    }
     let mut spec = SpaceSpec {
         version: SPACE_VERSION,
         name: format!("near-{}", scenario.spec().name),
@@ -73,7 +29,12 @@ pub(super) fn space_near(scenario: &Scenario) -> Result<ScenarioSpace, InvalidSp
         "parameters",
         "no number of the scenario can vary",
     ));
-    for (field, unit, [low, high]) in fields {
+    for VariedField {
+        field,
+        unit,
+        range: [low, high],
+    } in varied_fields(scenario)
+    {
         let name = field.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
         let distribution = DistributionSpec::Uniform(UniformSpec { low, high });
         spec.parameters.push(ParameterSpec {
@@ -92,4 +53,68 @@ pub(super) fn space_near(scenario: &Scenario) -> Result<ScenarioSpace, InvalidSp
         }
     }
     valid
+}
+
+/// A number of a scenario that varies.
+struct VariedField {
+    field: String,
+    unit: &'static str,
+    range: [f64; 2],
+}
+
+fn varied_fields(scenario: &Scenario) -> Vec<VariedField> {
+    let friction = scenario.spec().environment.friction;
+    let mut fields = vec![VariedField {
+        field: "environment.friction".to_owned(),
+        unit: "1",
+        range: [friction * (1.0 - SHARE), friction],
+    }];
+    for (index, vehicle) in scenario.vehicles().iter().enumerate() {
+        let mut vehicle_fields = vec![("speed_mps", "m/s", around(vehicle.speed_mps))];
+        if let Some(gap_m) = scenario.initial_gap_m(index) {
+            vehicle_fields.push(("gap_m", "m", around(gap_m)));
+        }
+        match &vehicle.driver {
+            Driver::UnderTest => {
+                let delay_s = vehicle.reaction_delay_s;
+                vehicle_fields.push(("reaction_delay_s", "s", [delay_s, delay_s + 0.3]));
+            }
+            Driver::Profile(profile) => vehicle_fields.extend(script_fields(profile)),
+            _ => {}
+        }
+        fields.extend(
+            vehicle_fields
+                .into_iter()
+                .map(|(field, unit, range)| VariedField {
+                    field: format!("vehicles[{index}].{field}"),
+                    unit,
+                    range,
+                }),
+        );
+    }
+    fields
+}
+
+/// Returns field, unit and range of each number of a script that varies.
+fn script_fields(profile: &LeadProfile) -> Vec<(&'static str, &'static str, [f64; 2])> {
+    match profile {
+        LeadProfile::Brake(brake) => vec![
+            ("driver.brake.onset_s", "s", around(brake.onset_s)),
+            ("driver.brake.rate_mps2", "m/s²", around(brake.rate_mps2)),
+        ],
+        LeadProfile::RampBrake(brake) => {
+            let range = around(brake.rate_mps2);
+            vec![("driver.ramp-brake.rate_mps2", "m/s²", range)]
+        }
+        LeadProfile::BrakeToSpeed(brake) => {
+            let range = around(brake.rate_mps2);
+            vec![("driver.brake-to-speed.rate_mps2", "m/s²", range)]
+        }
+        LeadProfile::Pieces(_) => vec![("driver.pieces.scale", "1", around(1.0))],
+        LeadProfile::ConstantSpeed | LeadProfile::Recorded(_) => Vec::new(),
+    }
+}
+
+fn around(value: f64) -> [f64; 2] {
+    [value * (1.0 - SHARE), value * (1.0 + SHARE)]
 }

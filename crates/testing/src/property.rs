@@ -164,17 +164,17 @@ impl Property {
                     .position(|&acceleration_mps2| acceleration_mps2 != 0.0)?;
                 SpeedAmplification::from_trace(trace, *trace.time_s.get(onset)?)
             });
-            let Some(found) = amplification else {
+            let Some(amplification) = amplification else {
                 return Ok(PropertyVerdict::NotApplicable(
                     "the line does not settle before the disturbance".to_owned(),
                 ));
             };
-            let worst = found
+            let worst = amplification
                 .of_each
                 .iter()
                 .flatten()
                 .fold(0.0, |worst: f64, &ratio| worst.max(ratio));
-            Ok(violated_if(found.has_amplification(), || {
+            Ok(violated_if(amplification.has_amplification(), || {
                 let excess = format_rounded(100.0 * (worst - 1.0), 2);
                 format!("a vehicle deviates {excess} % more from its speed than its leader")
             }))
@@ -344,10 +344,10 @@ fn differs(
     controller: &ControllerUnderTest,
     scenario: &Scenario,
     reason: &str,
-    other: impl FnOnce() -> Result<RunVerdict, SpecificationError>,
+    evaluate_partner: impl FnOnce() -> Result<RunVerdict, SpecificationError>,
 ) -> Result<PropertyVerdict, SpecificationError> {
     let own = controller.evaluate(&Specification::NoContact, scenario)?;
-    let is_worse = own.is_violation() && !other()?.is_violation();
+    let is_worse = own.is_violation() && !evaluate_partner()?.is_violation();
     Ok(violated_if(is_worse, || {
         format!("{}; {reason}", describe(controller, scenario, &own))
     }))

@@ -130,10 +130,7 @@ impl Scenarios {
     pub fn read(&self, bytes: &[u8]) -> Scenario {
         match self.0.as_ref() {
             Family::Any => read_scenario(&mut Unstructured::new(bytes)),
-            Family::Space(space) => {
-                let (seed, values) = read_point(space, bytes);
-                scenario_of_values(space, &values, seed)
-            }
+            Family::Space(space) => read_point(space, bytes).scenario(space),
             Family::Files(all) => {
                 let index = bytes
                     .iter()
@@ -153,7 +150,7 @@ impl Scenarios {
 }
 
 /// Reads the noise seed and the values of a space.
-pub(super) fn read_point(space: &ScenarioSpace, bytes: &[u8]) -> (u64, Vec<f64>) {
+pub(super) fn read_point(space: &ScenarioSpace, bytes: &[u8]) -> SeededValues {
     let mut choices = Choices::new(bytes);
     let seed = choices.seed();
     let nominal = space.nominal();
@@ -174,23 +171,32 @@ pub(super) fn read_point(space: &ScenarioSpace, bytes: &[u8]) -> (u64, Vec<f64>)
         .zip(nominal)
         .zip(point.iter().zip(&centre));
     // The value at the nominal coordinate may differ from the nominal one by rounding.
-    (
+    SeededValues {
         seed,
-        values
+        values: values
             .map(|((value, nominal), (at, centre))| if at == centre { nominal } else { value })
             .collect(),
-    )
+    }
 }
 
-#[expect(
-    clippy::expect_used,
-    reason = "a space is valid at all points: a failure is a defect of crumple"
-)]
-pub(super) fn scenario_of_values(space: &ScenarioSpace, values: &[f64], seed: u64) -> Scenario {
-    let scenario = space.scenario(values).expect("valid at all points");
-    scenario
-        .edited(|spec| spec.seed = seed)
-        .expect("any seed is valid")
+/// The noise seed and the values of the parameters of a space.
+#[derive(Debug, Clone)]
+pub(super) struct SeededValues {
+    pub(super) seed: u64,
+    pub(super) values: Vec<f64>,
+}
+
+impl SeededValues {
+    #[expect(
+        clippy::expect_used,
+        reason = "a space is valid at all points: a failure is a defect of crumple"
+    )]
+    pub(super) fn scenario(&self, space: &ScenarioSpace) -> Scenario {
+        let scenario = space.scenario(&self.values).expect("valid at all points");
+        scenario
+            .edited(|spec| spec.seed = self.seed)
+            .expect("any seed is valid")
+    }
 }
 
 impl From<ScenarioSpace> for Scenarios {
@@ -243,7 +249,8 @@ pub struct ScenarioTree {
 impl ScenarioTree {
     /// Repeats the shrinking with the answers so far, up to the next candidate. Returns false at the end.
     fn advance(&mut self) -> bool {
-        let (mut answers, mut candidate) = (self.answers.iter(), None);
+        let mut answers = self.answers.iter();
+        let mut candidate = None;
         let simplest = shrink::shrink(&self.scenarios, &self.bytes, &mut |scenario| {
             answers.next().copied().unwrap_or_else(|| {
                 candidate.get_or_insert_with(|| scenario.clone());

@@ -4,11 +4,12 @@ use crumple_search::falsify::counterexample::{
     ChangedParameter, rounder_values, shrink as shrink_values,
 };
 use crumple_sim::scenario::{Scenario, ScenarioSpec};
+use crumple_spaces::ScenarioSpace;
 use serde_json::Value;
 
 use super::Scenarios;
 use super::generator::place_vehicles;
-use super::scenarios::{Family, read_point, scenario_of_values};
+use super::scenarios::{Family, SeededValues, read_point};
 
 /// Steps towards zero for each byte: half of the way, and half as much after each failed step.
 const BYTE_STEPS: usize = 8;
@@ -39,41 +40,68 @@ pub(super) fn shrink(
                 scenario,
             }
         }
-        Family::Space(space) => {
-            let (seed, values) = read_point(space, bytes);
-            let seed = if holds(&scenario_of_values(space, &values, 0)) {
-                0
-            } else {
-                seed
-            };
-            let values = shrink_values(space, &values, &mut |values| {
-                space.is_in_search_region(&space.point(values))
-                    && holds(&scenario_of_values(space, values, seed))
-            });
-            let changed = space.parameters().iter().filter_map(|parameter| {
-                let own = values.get(parameter.coordinates())?;
-                let format = |&value: &f64| parameter.format_value(value);
-                let text = own.iter().map(format).collect::<Vec<_>>().join(", ");
-                let changed = ChangedParameter {
-                    parameter: parameter.name().to_owned(),
-                    value: text,
-                    unit: parameter.unit().to_owned(),
-                    outside_observed: own
-                        .iter()
-                        .find_map(|&one| space.extrapolated_range(parameter.name(), one)),
-                };
-                (own != parameter.nominal()).then(|| changed.to_string())
-            });
-            ShrunkScenario {
-                changes: changed.collect(),
-                scenario: scenario_of_values(space, &values, seed),
-            }
-        }
+        Family::Space(space) => shrink_sample(space, read_point(space, bytes), holds),
         Family::Files(_) => ShrunkScenario {
             scenario: scenarios.read(bytes),
             changes: Vec::new(),
         },
     }
+}
+
+/// Shrinks the noise seed to 0, and the values of a space.
+fn shrink_sample(
+    space: &ScenarioSpace,
+    sample: SeededValues,
+    holds: &mut dyn FnMut(&Scenario) -> bool,
+) -> ShrunkScenario {
+    let noiseless = SeededValues {
+        seed: 0,
+        ..sample.clone()
+    };
+    let seed = if holds(&noiseless.scenario(space)) {
+        0
+    } else {
+        sample.seed
+    };
+    let values = shrink_values(space, &sample.values, &mut |values| {
+        let changed = SeededValues {
+            seed,
+            values: values.to_vec(),
+        };
+        space.is_in_search_region(&space.point(values)) && holds(&changed.scenario(space))
+    });
+    let shrunk = SeededValues { seed, values };
+    ShrunkScenario {
+        changes: changed_parameters(space, &shrunk.values),
+        scenario: shrunk.scenario(space),
+    }
+}
+
+/// Describes the parameters that are not nominal.
+fn changed_parameters(space: &ScenarioSpace, values: &[f64]) -> Vec<String> {
+    let mut changed = Vec::new();
+    for parameter in space.parameters() {
+        let Some(own) = values.get(parameter.coordinates()) else {
+            continue;
+        };
+        if own == parameter.nominal() {
+            continue;
+        }
+        let formatted: Vec<_> = own
+            .iter()
+            .map(|&value| parameter.format_value(value))
+            .collect();
+        let parameter = ChangedParameter {
+            parameter: parameter.name().to_owned(),
+            value: formatted.join(", "),
+            unit: parameter.unit().to_owned(),
+            outside_observed: own
+                .iter()
+                .find_map(|&value| space.extrapolated_range(parameter.name(), value)),
+        };
+        changed.push(parameter.to_string());
+    }
+    changed
 }
 
 /// Sets as many bytes as possible to zero, halves of a block at a time, and reduces the others.
@@ -157,21 +185,21 @@ fn numbers(scenario: &Scenario) -> Vec<(String, f64)> {
     fn collect(value: &Value, path: &str, into: &mut Vec<(String, f64)>) {
         match value {
             Value::Number(number) if number.is_f64() => {
-                into.extend(number.as_f64().map(|it| (path.to_owned(), it)))
+                into.extend(number.as_f64().map(|number| (path.to_owned(), number)))
             }
             Value::Array(all) => all
                 .iter()
                 .enumerate()
-                .for_each(|(i, one)| collect(one, &format!("{path}/{i}"), into)),
+                .for_each(|(i, item)| collect(item, &format!("{path}/{i}"), into)),
             Value::Object(all) => all
                 .iter()
-                .for_each(|(name, one)| collect(one, &format!("{path}/{name}"), into)),
+                .for_each(|(name, field)| collect(field, &format!("{path}/{name}"), into)),
             _ => {}
         }
     }
-    let mut found = Vec::new();
-    collect(&to_json(scenario), "", &mut found);
-    found
+    let mut numbers = Vec::new();
+    collect(&to_json(scenario), "", &mut numbers);
+    numbers
 }
 
 fn with_number(scenario: &Scenario, path: &str, number: f64) -> Option<Scenario> {

@@ -17,23 +17,27 @@ use crumple_testing::{
 };
 
 /// The Intelligent Driver Model, with up to 9 m/s² of braking.
-fn sound(seen: &Observation) -> f64 {
-    let free = 1.0 - (seen.speed_mps / 33.0).powi(4);
-    let Some(ahead) = seen.ahead else { return free };
-    let closing_mps = seen.speed_mps - ahead.speed_mps;
-    let wanted_m = 2.0 + (1.2 * seen.speed_mps + seen.speed_mps * closing_mps / 2.4).max(0.0);
+fn sound(observation: &Observation) -> f64 {
+    let free = 1.0 - (observation.speed_mps / 33.0).powi(4);
+    let Some(ahead) = observation.ahead else {
+        return free;
+    };
+    let closing_mps = observation.speed_mps - ahead.speed_mps;
+    let wanted_m =
+        2.0 + (1.2 * observation.speed_mps + observation.speed_mps * closing_mps / 2.4).max(0.0);
     (free - (wanted_m / ahead.gap_m.max(0.1)).powi(2)).clamp(-9.0, 1.5)
 }
 
 type Defect = fn(&Observation) -> f64;
 
-fn gap_m(seen: &Observation) -> f64 {
-    seen.ahead.map_or(f64::INFINITY, |ahead| ahead.gap_m)
+fn gap_m(observation: &Observation) -> f64 {
+    observation.ahead.map_or(f64::INFINITY, |ahead| ahead.gap_m)
 }
 
-fn is_closing(seen: &Observation) -> bool {
-    seen.ahead
-        .is_some_and(|ahead| ahead.speed_mps < seen.speed_mps)
+fn is_closing(observation: &Observation) -> bool {
+    observation
+        .ahead
+        .is_some_and(|ahead| ahead.speed_mps < observation.speed_mps)
 }
 
 fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyFailure> {
@@ -63,7 +67,7 @@ fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyF
 
 /// A test without scenarios fails. A failure that does not recur has its finding, and no file to replay.
 #[test]
-fn no_scenario_and_failures_that_do_not_recur_are_reported() {
+fn missing_scenarios_and_failures_that_do_not_recur_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let test = |decide: Defect| check(stateless(decide)).on("alone").corpus(folder.path());
     assert!(matches!(
@@ -71,11 +75,11 @@ fn no_scenario_and_failures_that_do_not_recur_are_reported() {
         Err(CheckError::NotTested { .. })
     ));
     let first = Arc::new(AtomicBool::new(true));
-    let once = move |seen: &Observation| {
+    let once = move |observation: &Observation| {
         if first.swap(false, Ordering::Relaxed) {
             f64::NAN
         } else {
-            sound(seen)
+            sound(observation)
         }
     };
     let failed = check(stateless(once))
@@ -184,21 +188,21 @@ fn findings_name_their_reason() {
 #[test]
 fn metamorphic_relations_and_amplification_find_defects() {
     let relation = Property::metamorphic(MetamorphicRelation::LargerGap { by_m: 5.0 });
-    let blind: Defect = |seen| {
-        if gap_m(seen) > 30.0 {
+    let blind: Defect = |observation| {
+        if gap_m(observation) > 30.0 {
             0.0
         } else {
-            sound(seen).max(-4.0)
+            sound(observation).max(-4.0)
         }
     };
     failure_of(blind, "alone", &relation);
 
     let line = |gain: f64| {
         let folder = tempfile::tempdir().unwrap();
-        let follower = move |seen: &Observation| {
-            let spacing_error_m = gap_m(seen) - 2.0 - 1.5 * seen.speed_mps;
-            seen.ahead.map_or(0.0, |ahead| {
-                0.1 * spacing_error_m + gain * (ahead.speed_mps - seen.speed_mps)
+        let follower = move |observation: &Observation| {
+            let spacing_error_m = gap_m(observation) - 2.0 - 1.5 * observation.speed_mps;
+            observation.ahead.map_or(0.0, |ahead| {
+                0.1 * spacing_error_m + gain * (ahead.speed_mps - observation.speed_mps)
             })
         };
         let test = check(stateless(follower))
@@ -217,63 +221,79 @@ fn metamorphic_relations_and_amplification_find_defects() {
 fn ten_planted_defects_shrink_to_few_changes() {
     let not_worse = || Property::not_worse_than(stateless(sound));
     let planted: [(&str, Property, Defect); 10] = [
-        ("high-risk", not_worse(), |seen| {
-            if seen.speed_mps > 30.0 {
+        ("high-risk", not_worse(), |observation| {
+            if observation.speed_mps > 30.0 {
                 0.0
             } else {
-                sound(seen)
+                sound(observation)
             }
         }),
-        ("high-risk", not_worse(), |seen| {
-            if gap_m(seen) > 40.0 { 0.0 } else { sound(seen) }
-        }),
-        ("high-risk", not_worse(), |seen| {
-            sound(seen).max(if seen.speed_mps > 28.0 { -2.5 } else { -9.0 })
-        }),
-        ("high-risk", not_worse(), |seen| {
-            if is_closing(seen) {
-                0.5 * sound(seen)
+        ("high-risk", not_worse(), |observation| {
+            if gap_m(observation) > 40.0 {
+                0.0
             } else {
-                sound(seen)
+                sound(observation)
             }
         }),
-        ("high-risk", Property::deterministic(), |seen| {
-            if gap_m(seen) > 50.0 {
+        ("high-risk", not_worse(), |observation| {
+            sound(observation).max(if observation.speed_mps > 28.0 {
+                -2.5
+            } else {
+                -9.0
+            })
+        }),
+        ("high-risk", not_worse(), |observation| {
+            if is_closing(observation) {
+                0.5 * sound(observation)
+            } else {
+                sound(observation)
+            }
+        }),
+        ("high-risk", Property::deterministic(), |observation| {
+            if gap_m(observation) > 50.0 {
                 f64::NAN
             } else {
-                sound(seen)
+                sound(observation)
             }
         }),
-        ("high-risk", Property::deterministic(), |seen| {
-            assert!(seen.speed_mps < 35.0, "a table ends at 35 m/s");
-            sound(seen)
+        ("high-risk", Property::deterministic(), |observation| {
+            assert!(observation.speed_mps < 35.0, "a table ends at 35 m/s");
+            sound(observation)
         }),
-        ("traffic", Property::no_unnecessary_braking(), |seen| {
-            if seen.behind.is_some_and(|behind| behind.gap_m < 15.0) {
-                -6.0
-            } else {
-                sound(seen)
-            }
-        }),
-        ("traffic", Property::bounded_jerk(25.0), |seen| {
-            if seen.speed_mps < 12.0 {
+        (
+            "traffic",
+            Property::no_unnecessary_braking(),
+            |observation| {
+                if observation.behind.is_some_and(|behind| behind.gap_m < 15.0) {
+                    -6.0
+                } else {
+                    sound(observation)
+                }
+            },
+        ),
+        ("traffic", Property::bounded_jerk(25.0), |observation| {
+            if observation.speed_mps < 12.0 {
                 -4.0
             } else {
-                sound(seen)
+                sound(observation)
             }
         }),
         (
             "traffic",
             Property::specification("always v1.speed_mps < 36").unwrap(),
-            |seen| {
-                if gap_m(seen) > 50.0 { 1.5 } else { sound(seen) }
+            |observation| {
+                if gap_m(observation) > 50.0 {
+                    1.5
+                } else {
+                    sound(observation)
+                }
             },
         ),
-        ("alone", not_worse(), |seen| {
-            if seen.ahead.is_some_and(|ahead| ahead.speed_mps < 1.0) {
+        ("alone", not_worse(), |observation| {
+            if observation.ahead.is_some_and(|ahead| ahead.speed_mps < 1.0) {
                 0.0
             } else {
-                sound(seen)
+                sound(observation)
             }
         }),
     ];

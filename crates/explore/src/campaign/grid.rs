@@ -18,6 +18,8 @@ pub(crate) struct FailureGrid {
 #[derive(Debug)]
 pub(crate) struct GridAxis {
     pub(crate) name: String,
+    /// Index of the parameter among the coordinates of a point.
+    coordinate: usize,
     /// Unit; empty for a pure number.
     pub(crate) unit: &'static str,
     /// Smallest and largest value in the recordings that the space was fitted to.
@@ -39,54 +41,61 @@ impl FailureGrid {
     /// Counts the evaluations of a campaign in cells of the two named parameters. Returns `None` if the campaign has no
     /// parameter of one of the names.
     pub(crate) fn from_campaign(
-        look: &CampaignReader,
-        names: [&str; 2],
-        chosen: &EvaluationFilter<'_>,
+        reader: &CampaignReader,
+        [x_name, y_name]: [&str; 2],
+        filter: &EvaluationFilter<'_>,
     ) -> Option<Self> {
-        let known = look.space().coordinate_names();
-        let parameters: Vec<&SpaceParameter> = look.space().coordinate_parameters().collect();
-        let side = |name: &str| {
-            let place = known.iter().position(|known| known == name)?;
-            let parameter = parameters.get(place)?;
-            Some((
-                place,
-                GridAxis::new(
-                    name,
-                    parameter,
-                    look.space().observed_range(parameter.name()),
-                ),
-            ))
-        };
-        let [(x, across), (y, up)] = [side(names[0])?, side(names[1])?];
-        let mut cells = vec![GridCell::default(); across.cell_bounds.len() * up.cell_bounds.len()];
-        for (index, (method, evaluated)) in look.evaluations().iter().enumerate() {
-            let Some(fails) = chosen.classify(look, method, evaluated) else {
+        let x_axis = find_axis(reader, x_name)?;
+        let y_axis = find_axis(reader, y_name)?;
+        let mut cells =
+            vec![GridCell::default(); x_axis.cell_bounds.len() * y_axis.cell_bounds.len()];
+        for (index, (method, evaluated)) in reader.evaluations().iter().enumerate() {
+            let Some(fails) = filter.classify(reader, method, evaluated) else {
                 continue;
             };
-            let at = |side: &GridAxis, coordinate: usize| {
-                let share = evaluated.point.get(coordinate).copied().unwrap_or(0.0);
-                ((share * side.cell_bounds.len() as f64) as usize).min(side.cell_bounds.len() - 1)
-            };
-            let place = at(&up, y) * across.cell_bounds.len() + at(&across, x);
-            if let Some(cell) = cells.get_mut(place) {
-                cell.total += 1;
-                cell.failing += usize::from(fails);
-                let robustness = evaluated.verdict.robustness;
-                if cell.worst.is_none_or(|(_, least)| robustness < least) {
-                    cell.worst = Some((index, robustness));
-                }
+            let row = y_axis.cell_of(&evaluated.point);
+            let column = x_axis.cell_of(&evaluated.point);
+            if let Some(cell) = cells.get_mut(row * x_axis.cell_bounds.len() + column) {
+                cell.count(index, fails, evaluated.verdict.robustness);
             }
         }
         Some(Self {
-            x_axis: across,
-            y_axis: up,
+            x_axis,
+            y_axis,
             cells,
         })
     }
 }
 
+/// Returns the axis of a parameter of a campaign; `None` for an unknown name.
+fn find_axis(reader: &CampaignReader, name: &str) -> Option<GridAxis> {
+    let space = reader.space();
+    let coordinate = space
+        .coordinate_names()
+        .iter()
+        .position(|coordinate| coordinate == name)?;
+    let parameter = space.coordinate_parameters().nth(coordinate)?;
+    let observed = space.observed_range(parameter.name());
+    Some(GridAxis::new(name, coordinate, parameter, observed))
+}
+
+impl GridCell {
+    fn count(&mut self, evaluation: usize, fails: bool, robustness: f64) {
+        self.total += 1;
+        self.failing += usize::from(fails);
+        if self.worst.is_none_or(|(_, least)| robustness < least) {
+            self.worst = Some((evaluation, robustness));
+        }
+    }
+}
+
 impl GridAxis {
-    fn new(name: &str, parameter: &SpaceParameter, observed: Option<[f64; 2]>) -> Self {
+    fn new(
+        name: &str,
+        coordinate: usize,
+        parameter: &SpaceParameter,
+        observed: Option<[f64; 2]>,
+    ) -> Self {
         let [low, high] = parameter.range();
         let is_named = parameter.has_named_values();
         // Named values are equidistant in the unit cube, one cell each.
@@ -95,17 +104,16 @@ impl GridAxis {
         } else {
             CELLS_PER_AXIS
         };
-        let value = |share: f64| match is_named {
-            true => parameter.format_value(parameter.value(share)),
-            false => format_3_digits(parameter.value(share)),
-        };
-        let cell = |index: usize| match is_named {
-            true => (value((index as f64 + 0.5) / count as f64), String::new()),
-            false => (
-                value(index as f64 / count as f64),
-                value((index + 1) as f64 / count as f64),
-            ),
-        };
+        let cell_bounds = (0..count).map(|index| {
+            if is_named {
+                let middle = parameter.value((index as f64 + 0.5) / count as f64);
+                (parameter.format_value(middle), String::new())
+            } else {
+                let from = parameter.value(index as f64 / count as f64);
+                let to = parameter.value((index + 1) as f64 / count as f64);
+                (format_3_digits(from), format_3_digits(to))
+            }
+        });
         let unit = if parameter.unit() == "1" {
             ""
         } else {
@@ -113,11 +121,19 @@ impl GridAxis {
         };
         Self {
             name: name.to_owned(),
+            coordinate,
             unit,
             observed,
-            cell_bounds: (0..count).map(cell).collect(),
+            cell_bounds: cell_bounds.collect(),
             is_named,
         }
+    }
+
+    /// Returns the index of the cell that contains a point of the unit cube.
+    fn cell_of(&self, point: &[f64]) -> usize {
+        let share = point.get(self.coordinate).copied().unwrap_or(0.0);
+        let cells = self.cell_bounds.len();
+        ((share * cells as f64) as usize).min(cells - 1)
     }
 
     pub(crate) fn title(&self) -> String {

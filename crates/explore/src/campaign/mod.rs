@@ -60,6 +60,16 @@ pub(crate) struct CampaignView<'a> {
     pub(crate) reader: &'a CampaignReader,
 }
 
+impl<'a> CampaignView<'a> {
+    fn new(index: usize, campaign: &'a CatalogCampaign) -> Self {
+        Self {
+            index,
+            name: &campaign.name,
+            reader: &campaign.reader,
+        }
+    }
+}
+
 pub(crate) fn campaign_error(error: CampaignError) -> RequestError {
     RequestError::Internal(TerminalText(&error.to_string()).to_string())
 }
@@ -68,63 +78,36 @@ pub(crate) fn show_campaigns(
     request: &CampaignRequest,
     offered: &[CatalogCampaign],
 ) -> Result<CampaignResponse, RequestError> {
-    let one = catalog::find(offered, request.campaign, "campaign", "campaigns")?;
+    let requested = catalog::find(offered, request.campaign, "campaign", "campaigns")?;
+    let reader = &requested.reader;
+    let mut shown = vec![CampaignView::new(request.campaign, requested)];
     // A comparison with itself would deadlock.
-    let against = request.against.filter(|index| *index != request.campaign);
-    let other = against
-        .map(|index| catalog::find(offered, index, "against", "campaigns"))
-        .transpose()?;
-    let mut shown = vec![CampaignView {
-        index: request.campaign,
-        name: &one.name,
-        reader: &one.reader,
-    }];
-    if let Some((index, other)) = against.zip(other) {
-        shown.push(CampaignView {
-            index,
-            name: &other.name,
-            reader: &other.reader,
-        });
+    if let Some(index) = request.against.filter(|index| *index != request.campaign) {
+        let compared = catalog::find(offered, index, "against", "campaigns")?;
+        shown.push(CampaignView::new(index, compared));
     }
-    let look = &one.reader;
-    let coordinates = look.space().coordinate_names();
-    let place = |field: &str, name: &Option<String>, otherwise: usize| match name {
-        None => Ok(otherwise.min(coordinates.len().saturating_sub(1))),
-        Some(name) => coordinates
-            .iter()
-            .position(|known| known == name)
-            .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
-    };
-    let (x, y) = (
-        place("x_parameter", &request.x_parameter, 0)?,
-        place("y_parameter", &request.y_parameter, 1)?,
-    );
-    let kinds = look
-        .summary()
-        .failures
-        .iter()
-        .map(|kind| kind.kind.clone())
-        .collect();
-    let chosen = EvaluationFilter {
+    let coordinates = reader.space().coordinate_names();
+    let x_parameter = grid_parameter(&coordinates, "x_parameter", &request.x_parameter, 0)?;
+    let y_parameter = grid_parameter(&coordinates, "y_parameter", &request.y_parameter, 1)?;
+    let filter = EvaluationFilter {
         method: request.method.as_deref(),
         kind: request.kind.as_deref(),
     };
-    let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
     let maps = html! {
         div.side-by-side data-columns=(if request.narrow { 1 } else { shown.len() }) {
-            @for one in &shown {
-                @match FailureGrid::from_campaign(one.reader, [&name(x), &name(y)], &chosen) {
-                    Some(map) => (figures::failure_grid_figure(one, &map, request.narrow || shown.len() > 1)),
-                    None => p.hint { (TerminalText(one.name)) " does not vary both of these." },
+            @for campaign in &shown {
+                @match FailureGrid::from_campaign(campaign.reader, [&x_parameter, &y_parameter], &filter) {
+                    Some(map) => (figures::failure_grid_figure(campaign, &map, request.narrow || shown.len() > 1)),
+                    None => p.hint { (TerminalText(campaign.name)) " does not vary both of these." },
                 }
             }
         }
     };
     Ok(CampaignResponse {
         summaries: shown.iter().map(summary_line).collect(),
-        x_parameter: name(x),
-        y_parameter: name(y),
-        methods: look.methods().iter().map(Method::to_string).collect(),
+        x_parameter,
+        y_parameter,
+        methods: reader.methods().iter().map(Method::to_string).collect(),
         best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
         maps: escape_markup(maps),
         distinct: escape_markup(
@@ -133,10 +116,38 @@ pub(crate) fn show_campaigns(
                 .map(distinct_failures_table)
                 .fold(html! {}, |before, next| html! { (before) (next) }),
         ),
-        failures: escape_markup(failures_table(&shown, &chosen)),
+        failures: escape_markup(
+            html! { @for campaign in &shown { (failures_table(campaign, &filter)) } },
+        ),
         coordinates,
-        kinds,
+        kinds: reader
+            .summary()
+            .failures
+            .iter()
+            .map(|kind| kind.kind.clone())
+            .collect(),
     })
+}
+
+/// Returns the parameter of an axis of the failure grid: the requested one, or the one at index `default`.
+fn grid_parameter(
+    coordinates: &[String],
+    field: &str,
+    requested: &Option<String>,
+    default: usize,
+) -> Result<String, RequestError> {
+    match requested {
+        Some(name) if coordinates.contains(name) => Ok(name.clone()),
+        Some(_) => Err(RequestError::invalid(
+            field,
+            "not a parameter of this campaign",
+        )),
+        None => Ok(coordinates
+            .get(default)
+            .or(coordinates.last())
+            .cloned()
+            .unwrap_or_default()),
+    }
 }
 
 /// Escapes control and bidirectional characters in markup, which names can contain.
@@ -153,7 +164,7 @@ impl EvaluationFilter<'_> {
     /// Returns the failure state of an evaluation that passes the filter; none for others.
     fn classify(
         &self,
-        look: &CampaignReader,
+        reader: &CampaignReader,
         method: &Method,
         evaluated: &EvaluatedPoint,
     ) -> Option<bool> {
@@ -162,7 +173,7 @@ impl EvaluationFilter<'_> {
         }
         let fails = evaluated.verdict.is_violation();
         match self.kind {
-            Some(wanted) if fails => look
+            Some(wanted) if fails => reader
                 .describe_failure(evaluated)
                 .is_some_and(|kind| kind == wanted)
                 .then_some(true),
@@ -172,31 +183,33 @@ impl EvaluationFilter<'_> {
 }
 
 fn summary_line(shown: &CampaignView<'_>) -> String {
-    let CampaignView {
-        name, reader: look, ..
-    } = shown;
-    let (made, all) = (look.evaluations().len(), look.total_evaluations());
-    let failing = look
+    let CampaignView { name, reader, .. } = shown;
+    let logged = reader.evaluations().len();
+    let all = reader.total_evaluations();
+    let failing = reader
         .evaluations()
         .iter()
         .filter(|(_, evaluated)| evaluated.verdict.is_violation())
         .count();
-    let stage = match look.summary() {
-        summary if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
+    let stage = match reader.summary() {
+        summary if summary.methods.iter().any(|method| method.evaluations > 0) && logged == 0 => {
             format!("complete, {all} evaluations, none of them logged")
         }
-        _ if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MAX_READ_EVALUATIONS => {
+        _ if logged < usize::try_from(all).unwrap_or(usize::MAX)
+            && logged >= MAX_READ_EVALUATIONS =>
+        {
             format!(
-                "complete; of {all} evaluations the first {made} are shown, {failing} of which fail"
+                "complete; of {all} evaluations the first {logged} are shown, {failing} of which fail"
             )
         }
-        _ => format!("complete, {made} evaluations, {failing} fail"),
+        _ => format!("complete, {logged} evaluations, {failing} fail"),
     };
-    let (controller, space) = (look.controller(), look.space().name());
     TerminalText(&format!(
-        "{name}: {controller} in {space}, {}, estimator {}: {stage}",
-        look.specification(),
-        look.estimator().name()
+        "{name}: {} in {}, {}, estimator {}: {stage}",
+        reader.controller(),
+        reader.space().name(),
+        reader.specification(),
+        reader.estimator().name()
     ))
     .to_string()
 }
@@ -213,57 +226,53 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
                 th.number scope="col" { "at (s)" } th scope="col" { "avoidable" }
                 th scope="col" { "found by" } th scope="col" { "not nominal" }
             } }
-            tbody { @for (place, found) in summary.counterexamples.iter().enumerate() { tr {
+            tbody { @for (index, failure) in summary.counterexamples.iter().enumerate() { tr {
                 th scope="row" {
-                    a href={ "./?campaign=" (shown.index) "&counterexample=" (place) } { (TerminalText(&found.kind)) }
+                    a href={ "./?campaign=" (shown.index) "&counterexample=" (index) } { (TerminalText(&failure.kind)) }
                 }
-                td.number { (format_number(found.impact_speed_mps, 1)) }
-                td.number { (format_number(found.contact_time_s, 2)) }
-                td { (avoidability_label(found.avoidability.class())) }
-                td { (found.found_by) " after " (found.found_at) }
-                td { (TerminalText(&list_changes(&found.changed))) }
+                td.number { (format_number(failure.impact_speed_mps, 1)) }
+                td.number { (format_number(failure.contact_time_s, 2)) }
+                td { (avoidability_label(failure.avoidability.class())) }
+                td { (failure.found_by) " after " (failure.found_at) }
+                td { (TerminalText(&list_changes(&failure.changed))) }
             } } }
         } } }
     }
 }
 
 /// Lists failing evaluations: the latest while a campaign runs, the severest afterwards.
-fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> Markup {
-    let list = |one: &CampaignView<'_>| {
-        let rows = one.reader.evaluations().iter().enumerate();
-        let mut failing: Vec<_> = rows
-            .filter(|(_, (method, evaluated))| {
-                chosen.classify(one.reader, method, evaluated) == Some(true)
-            })
-            .collect();
-        failing.sort_by(|(_, (_, a)), (_, (_, b))| {
-            a.verdict.robustness.total_cmp(&b.verdict.robustness)
-        });
-        let all = failing.len();
-        failing.truncate(MAX_LISTED);
-        html! { @if all > 0 { div.scroll tabindex="0" { table {
-            caption {
-                (TerminalText(one.name)) ": " (all) " failing evaluations"
-                @if all > failing.len() { ", the " (failing.len()) " severest" }
-            }
-            thead { tr {
-                th scope="col" { "evaluation" } th scope="col" { "what happens" }
-                th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
-                th.number scope="col" { "robustness" } th.number scope="col" { "ln likelihood" }
+fn failures_table(shown: &CampaignView<'_>, filter: &EvaluationFilter<'_>) -> Markup {
+    let rows = shown.reader.evaluations().iter().enumerate();
+    let mut failing: Vec<_> = rows
+        .filter(|(_, (method, evaluated))| {
+            filter.classify(shown.reader, method, evaluated) == Some(true)
+        })
+        .collect();
+    failing
+        .sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness));
+    let all = failing.len();
+    failing.truncate(MAX_LISTED);
+    html! { @if all > 0 { div.scroll tabindex="0" { table {
+        caption {
+            (TerminalText(shown.name)) ": " (all) " failing evaluations"
+            @if all > failing.len() { ", the " (failing.len()) " severest" }
+        }
+        thead { tr {
+            th scope="col" { "evaluation" } th scope="col" { "what happens" }
+            th.number scope="col" { "impact (m/s)" } th.number scope="col" { "at (s)" }
+            th.number scope="col" { "robustness" } th.number scope="col" { "ln likelihood" }
+        } }
+        tbody { @for (index, (method, evaluated)) in &failing { tr {
+            th scope="row" { a href={ "./?campaign=" (shown.index) "&evaluation=" (index) } {
+                (method.name()) " " (evaluated.number)
             } }
-            tbody { @for (index, (method, evaluated)) in &failing { tr {
-                th scope="row" { a href={ "./?campaign=" (one.index) "&evaluation=" (index) } {
-                    (method.name()) " " (evaluated.number)
-                } }
-                td { (TerminalText(&one.reader.describe_failure(evaluated).unwrap_or_default())) }
-                td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
-                td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }
-                td.number { (format_number(Some(evaluated.verdict.robustness), 2)) }
-                td.number { (format_number(Some(evaluated.ln_likelihood), 2)) }
-            } } }
-        } } } @else { p.hint { (TerminalText(one.name)) ": no evaluation fails among these." } } }
-    };
-    html! { @for one in shown { (list(one)) } }
+            td { (TerminalText(&shown.reader.describe_failure(evaluated).unwrap_or_default())) }
+            td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
+            td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }
+            td.number { (format_number(Some(evaluated.verdict.robustness), 2)) }
+            td.number { (format_number(Some(evaluated.ln_likelihood), 2)) }
+        } } }
+    } } } @else { p.hint { (TerminalText(shown.name)) ": no evaluation fails among these." } } }
 }
 
 fn list_changes(changed: &[ChangedParameter]) -> String {

@@ -209,18 +209,20 @@ impl Auto {
             };
         }
         let population = (default_population(self.coarse.dimension()) / 2).max(MIN_POPULATION);
-        let (start, sigma) = if self.descents <= 2 || self.good_points.is_empty() {
-            (vec![0.5; self.coarse.dimension()], INITIAL_SIGMA)
+        let run = if self.descents <= 2 || self.good_points.is_empty() {
+            let centre = vec![0.5; self.coarse.dimension()];
+            CmaRun::new(centre, INITIAL_SIGMA, population)
         } else {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let among = self.good_points.len().min(START_CANDIDATES);
+            let candidates = self.good_points.len().min(START_CANDIDATES);
             let chosen = self
                 .good_points
-                .swap_remove(self.random.random_range(0..among));
-            (self.cube.coarsen(&self.coarse, &chosen.1), LOCAL_SIGMA)
+                .swap_remove(self.random.random_range(0..candidates));
+            let start = self.cube.coarsen(&self.coarse, &chosen.1);
+            CmaRun::new(start, LOCAL_SIGMA, population)
         };
         CmaDescent {
-            run: CmaRun::new(start, sigma, population),
+            run,
             best: f64::INFINITY,
             evaluations: 0,
             generations_without_gain: 0,
@@ -252,20 +254,19 @@ impl LeaderSearch {
         {
             return Vec::new();
         }
-        let asked = self
+        let proposals = self
             .descent
             .as_mut()
             .map(LeaderDescent::ask)
             .unwrap_or_default();
-        let can_begin = |(best, _): &&(f64, Vec<f64>)| asked.is_empty() && best.is_finite();
-        let Some((best, point)) = self.best.as_ref().filter(can_begin) else {
-            return asked;
+        let Some((best, point)) = self.best.as_ref() else {
+            return proposals;
         };
         let has_fallen = self
             .started_at_value
-            .is_none_or(|begun_at| *best < begun_at - MIN_RELATIVE_GAIN * begun_at.abs());
-        if !has_fallen {
-            return asked;
+            .is_none_or(|start| *best < start - MIN_RELATIVE_GAIN * start.abs());
+        if !proposals.is_empty() || !best.is_finite() || !has_fallen {
+            return proposals;
         }
         self.started_at_value = Some(*best);
         self.descent
@@ -295,12 +296,9 @@ impl Auto {
             .push((self.cube.coarsen(&self.coarse, point), value));
         self.surrogate_data_count += 1;
     }
-}
 
-impl SearchAlgorithm for Auto {
-    fn ask(&mut self) -> Vec<Vec<f64>> {
-        self.climbs.rank();
-        self.pending.clear();
+    /// Forgets old and bad points, and fits the surrogate to the remaining recent ones.
+    fn fit_surrogate(&mut self) {
         self.surrogate_data.drain(
             ..self
                 .surrogate_data
@@ -317,6 +315,71 @@ impl SearchAlgorithm for Auto {
             self.good_points.sort_by(|a, b| a.0.total_cmp(&b.0));
             self.good_points.truncate(MAX_GOOD_POINTS);
         }
+    }
+
+    /// Proposes a generation of the current descent or of the next one, and a few other points.
+    fn propose_generation(&mut self) {
+        let mut descent = match self.descent.take() {
+            Some(descent) => descent,
+            None => self.next_descent(),
+        };
+        let generation = match &self.surrogate {
+            Some(surrogate) if descent.run.spread() > FINE_SPREAD => {
+                descent
+                    .run
+                    .ask_screened(&mut self.random, SCREENING_CANDIDATES, |point| {
+                        surrogate.score(point)
+                    })
+            }
+            _ => descent.run.ask(&mut self.random),
+        };
+        self.pending.extend(
+            generation
+                .into_iter()
+                .map(|point| PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))),
+        );
+        self.descent = Some(descent);
+        self.propose_batch(PLAN_DURING_DESCENT);
+    }
+
+    /// Passes a generation to the descent. One that is on a plateau pauses for exploration, or ends.
+    fn advance_descent(&mut self, generation: &[f64]) {
+        let Some(mut descent) = self.descent.take() else {
+            return;
+        };
+        descent.learn(generation);
+        let stagnated = descent.run.has_stagnated();
+        if descent.generations_without_gain < PATIENCE && !stagnated {
+            self.descent = Some(descent);
+            return;
+        }
+        self.exploration_left = self.descents.min(MAX_EXPLORATION_RATIO) * descent.evaluations;
+        self.paused.extend((!stagnated).then_some(descent));
+        if self.paused.len() > MAX_PAUSED_DESCENTS {
+            self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));
+            self.paused.truncate(MAX_PAUSED_DESCENTS / 2);
+        }
+    }
+}
+
+impl PortfolioProposal {
+    fn point(&self) -> Vec<f64> {
+        match self {
+            Self::Simple(point)
+            | Self::Screened(point)
+            | Self::Descent(point)
+            | Self::Leader(point) => point.clone(),
+            Self::PlateauBisection(segment) => segment.midpoint(),
+            Self::Climb(proposal) => proposal.point.clone(),
+        }
+    }
+}
+
+impl SearchAlgorithm for Auto {
+    fn ask(&mut self) -> Vec<Vec<f64>> {
+        self.climbs.rank();
+        self.pending.clear();
+        self.fit_surrogate();
         if self.good_points.len() + self.descents == 0 {
             self.propose_batch(BatchPlan {
                 screened: 0,
@@ -326,26 +389,7 @@ impl SearchAlgorithm for Auto {
         } else if self.exploration_left > 0 {
             self.propose_batch(EXPLORATION_PLAN);
         } else {
-            let mut descent = match self.descent.take() {
-                Some(descent) => descent,
-                None => self.next_descent(),
-            };
-            let generation =
-                match &self.surrogate {
-                    Some(surrogate) if descent.run.spread() > FINE_SPREAD => descent
-                        .run
-                        .ask_screened(&mut self.random, SCREENING_CANDIDATES, |point| {
-                            surrogate.score(point)
-                        }),
-                    _ => descent.run.ask(&mut self.random),
-                };
-            self.pending.extend(
-                generation.into_iter().map(|point| {
-                    PortfolioProposal::Descent(self.cube.refine(&self.coarse, &point))
-                }),
-            );
-            self.descent = Some(descent);
-            self.propose_batch(PLAN_DURING_DESCENT);
+            self.propose_generation();
         }
         // The first descent solves easy problems, so leader descents start after it ends.
         if self.descents > 1 || self.exploration_left > 0 {
@@ -356,24 +400,17 @@ impl SearchAlgorithm for Auto {
                     .map(PortfolioProposal::Leader),
             );
         }
-        let point = |asked: &PortfolioProposal| match asked {
-            PortfolioProposal::Simple(point) | PortfolioProposal::Screened(point) => point.clone(),
-            PortfolioProposal::Descent(point) | PortfolioProposal::Leader(point) => point.clone(),
-            PortfolioProposal::PlateauBisection(segment) => segment.midpoint(),
-            PortfolioProposal::Climb(proposal) => proposal.point.clone(),
-        };
-        self.pending.iter().map(point).collect()
+        self.pending.iter().map(PortfolioProposal::point).collect()
     }
 
     fn tell(&mut self, robustness: &[f64]) {
         self.exploration_left = self.exploration_left.saturating_sub(robustness.len());
-        let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
-        let asked = std::mem::take(&mut self.pending);
-        for (asked, value) in asked
-            .into_iter()
-            .zip(robustness.iter().map(|&value| nan_as_infinity(value)))
-        {
-            match asked {
+        let mut generation = Vec::new();
+        let mut leader_values = Vec::new();
+        let proposals = std::mem::take(&mut self.pending);
+        let values = robustness.iter().map(|&value| nan_as_infinity(value));
+        for (proposal, value) in proposals.into_iter().zip(values) {
+            match proposal {
                 PortfolioProposal::Screened(point) => {
                     self.learn(&point, value);
                     self.good_points.push((value, point));
@@ -393,27 +430,13 @@ impl SearchAlgorithm for Auto {
                 }
                 PortfolioProposal::Climb(proposal) => self.climbs.tell(proposal, value),
                 PortfolioProposal::Leader(point) => {
-                    of_lead.push(value);
+                    leader_values.push(value);
                     self.learn(&point, value);
                     self.good_points.push((value, point));
                 }
             }
         }
-        self.leader_search.tell(&of_lead);
-        if let Some(mut descent) = self.descent.take() {
-            descent.learn(&generation);
-            let stagnated = descent.run.has_stagnated();
-            if descent.generations_without_gain < PATIENCE && !stagnated {
-                self.descent = Some(descent);
-            } else {
-                self.exploration_left =
-                    self.descents.min(MAX_EXPLORATION_RATIO) * descent.evaluations;
-                self.paused.extend((!stagnated).then_some(descent));
-                if self.paused.len() > MAX_PAUSED_DESCENTS {
-                    self.paused.sort_by(|a, b| a.best.total_cmp(&b.best));
-                    self.paused.truncate(MAX_PAUSED_DESCENTS / 2);
-                }
-            }
-        }
+        self.leader_search.tell(&leader_values);
+        self.advance_descent(&generation);
     }
 }

@@ -66,15 +66,13 @@ impl Climbs {
 
     /// Proposes the next move, of a climb that has none in this batch.
     pub(super) fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<ClimbMove> {
-        let cost = |(rank, climb): &(usize, &mut Climb)| {
-            *rank as f64 + f64::from(climb.moves_without_gain) / MOVES_PER_RANK
-        };
         let free = self
             .climbs
             .iter_mut()
             .enumerate()
             .filter(|(_, climb)| !climb.has_pending_move);
-        let (index, climb) = free.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        let (index, climb) =
+            free.min_by(|(a, x), (b, y)| x.turn_cost(*a).total_cmp(&y.turn_cost(*b)))?;
         climb.has_pending_move = true;
         Some(ClimbMove {
             climb: index,
@@ -90,12 +88,21 @@ impl Climbs {
 }
 
 impl Climb {
+    /// Returns the cost of the next move, given the rank by value; the cheapest climb has its turn.
+    fn turn_cost(&self, rank: usize) -> f64 {
+        rank as f64 + f64::from(self.moves_without_gain) / MOVES_PER_RANK
+    }
+
     fn propose(&mut self, cube: &UnitCube, random: &mut Stream) -> Option<Vec<f64>> {
         use rand::RngExt;
         if let Some(gain) = self.last_gain.take() {
             let longer = random.random_range(0.5..2.0);
-            let further = |(x, d): (&f64, &f64)| (x + longer * d).clamp(0.0, 1.0);
-            let point: Vec<f64> = self.point.iter().zip(&gain).map(further).collect();
+            let point: Vec<f64> = self
+                .point
+                .iter()
+                .zip(&gain)
+                .map(|(x, gain)| (x + longer * gain).clamp(0.0, 1.0))
+                .collect();
             if point != self.point {
                 return Some(point);
             }

@@ -174,11 +174,11 @@ impl CmaRun {
         if robustness.len() < self.population {
             return;
         }
-        let asked = std::mem::take(&mut self.pending);
+        let points = std::mem::take(&mut self.pending);
         let mut ranked: Vec<(f64, &DVector<f64>)> = robustness
             .iter()
             .map(|&value| nan_as_infinity(value))
-            .zip(&asked)
+            .zip(&points)
             .collect();
         ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
         self.learn(&ranked);
@@ -193,60 +193,75 @@ impl CmaRun {
 
     /// Applies equations 39 to 47 of the tutorial to a population sorted from the best to the worst.
     fn learn(&mut self, ranked: &[(f64, &DVector<f64>)]) {
-        let n = self.mean.len() as f64;
         let constants = Constants::new(self.mean.len(), self.population);
         let steps: Vec<DVector<f64>> = ranked
             .iter()
             .map(|(_, point)| (*point - &self.mean) / self.sigma)
             .collect();
-        let mut step = DVector::zeros(self.mean.len());
-        for (weight, one) in constants.weights.iter().zip(&steps) {
-            step.axpy(*weight, one, 1.0);
+        let mut mean_step = DVector::zeros(self.mean.len());
+        for (weight, step) in constants.weights.iter().zip(&steps) {
+            mean_step.axpy(*weight, step, 1.0);
         }
-        self.mean += &step * self.sigma;
+        self.mean += &mean_step * self.sigma;
         self.generation += 1;
-
+        let moving = self.update_paths(&constants, &mean_step);
+        self.update_covariance(&constants, &steps, moving);
         let Constants {
-            mu_eff,
             c_sigma,
             d_sigma,
-            c_c,
-            c_1,
-            c_mu,
             expected_norm,
             ..
         } = constants;
-        let whitened = &self.axes * (self.axes.tr_mul(&step)).component_div(&self.lengths);
-        self.path_sigma *= 1.0 - c_sigma;
-        self.path_sigma += whitened * (c_sigma * (2.0 - c_sigma) * mu_eff).sqrt();
-        let norm = self.path_sigma.norm();
-        let settled = (1.0 - (1.0 - c_sigma).powf(2.0 * self.generation as f64)).sqrt();
-        let moving = norm / settled < (1.4 + 2.0 / (n + 1.0)) * expected_norm;
-        self.path_covariance *= 1.0 - c_c;
-        if moving {
-            self.path_covariance += &step * (c_c * (2.0 - c_c) * mu_eff).sqrt();
-        }
-
-        let lost = if moving { 0.0 } else { c_1 * c_c * (2.0 - c_c) };
-        self.covariance *= 1.0 + lost - c_1 - c_mu;
-        self.covariance
-            .ger(c_1, &self.path_covariance, &self.path_covariance, 1.0);
-        for (weight, one) in constants.weights.iter().zip(&steps) {
-            self.covariance.ger(c_mu * weight, one, one, 1.0);
-        }
-        self.sigma *= ((c_sigma / d_sigma) * (norm / expected_norm - 1.0))
+        self.sigma *= ((c_sigma / d_sigma) * (self.path_sigma.norm() / expected_norm - 1.0))
             .min(1.0)
             .exp();
-
-        let eigen = SymmetricEigen::new(self.covariance.clone());
-        self.lengths = eigen.eigenvalues.map(|value| value.max(1e-30).sqrt());
-        self.axes = eigen.eigenvectors;
+        self.decompose_covariance();
         self.recent_best_values
             .extend(ranked.first().map(|(value, _)| *value));
         // Equal best and median indicate a plateau; wider steps may leave it.
         if ranked.first().map(|r| r.0) == ranked.get(self.population / 2).map(|r| r.0) {
             self.sigma *= (0.2 + c_sigma / d_sigma).exp();
         }
+    }
+
+    /// Updates both evolution paths. Returns false if the path of the step size is so long that that of the covariance
+    /// did not receive the step.
+    fn update_paths(&mut self, constants: &Constants, mean_step: &DVector<f64>) -> bool {
+        let n = self.mean.len() as f64;
+        let &Constants {
+            mu_eff,
+            c_sigma,
+            c_c,
+            expected_norm,
+            ..
+        } = constants;
+        let whitened = &self.axes * (self.axes.tr_mul(mean_step)).component_div(&self.lengths);
+        self.path_sigma *= 1.0 - c_sigma;
+        self.path_sigma += whitened * (c_sigma * (2.0 - c_sigma) * mu_eff).sqrt();
+        let settled = (1.0 - (1.0 - c_sigma).powf(2.0 * self.generation as f64)).sqrt();
+        let moving = self.path_sigma.norm() / settled < (1.4 + 2.0 / (n + 1.0)) * expected_norm;
+        self.path_covariance *= 1.0 - c_c;
+        if moving {
+            self.path_covariance += mean_step * (c_c * (2.0 - c_c) * mu_eff).sqrt();
+        }
+        moving
+    }
+
+    fn update_covariance(&mut self, constants: &Constants, steps: &[DVector<f64>], moving: bool) {
+        let &Constants { c_c, c_1, c_mu, .. } = constants;
+        let lost = if moving { 0.0 } else { c_1 * c_c * (2.0 - c_c) };
+        self.covariance *= 1.0 + lost - c_1 - c_mu;
+        self.covariance
+            .ger(c_1, &self.path_covariance, &self.path_covariance, 1.0);
+        for (weight, step) in constants.weights.iter().zip(steps) {
+            self.covariance.ger(c_mu * weight, step, step, 1.0);
+        }
+    }
+
+    fn decompose_covariance(&mut self) {
+        let eigen = SymmetricEigen::new(self.covariance.clone());
+        self.lengths = eigen.eigenvalues.map(|value| value.max(1e-30).sqrt());
+        self.axes = eigen.eigenvectors;
     }
 
     pub(super) fn spread(&self) -> f64 {
@@ -258,10 +273,9 @@ impl CmaRun {
         let spread = self.spread();
         let condition = (self.lengths.max() / self.lengths.min()).powi(2);
         let window = 10 + 30 * self.mean.len() / self.population;
-        let recent = self.recent_best_values.iter().rev().take(window);
-        let (least, most) = recent.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| {
-            (a.min(x), b.max(x))
-        });
+        let recent = self.recent_best_values.iter().rev().take(window).copied();
+        let least = recent.clone().fold(f64::INFINITY, f64::min);
+        let most = recent.fold(f64::NEG_INFINITY, f64::max);
         let flat =
             self.recent_best_values.len() >= window && most - least <= 1e-12 * (1.0 + most.abs());
         let lost =

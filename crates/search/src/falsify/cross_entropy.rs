@@ -40,6 +40,19 @@ impl CrossEntropy {
     }
 }
 
+impl CrossEntropy {
+    fn sample(&mut self) -> Vec<f64> {
+        self.mean
+            .iter()
+            .zip(&self.deviation)
+            .map(|(mean, deviation)| {
+                let normal: f64 = StandardNormal.sample(&mut self.random);
+                (mean + deviation * normal).clamp(0.0, 1.0)
+            })
+            .collect()
+    }
+}
+
 impl SearchAlgorithm for CrossEntropy {
     fn ask(&mut self) -> Vec<Vec<f64>> {
         if self
@@ -53,16 +66,7 @@ impl SearchAlgorithm for CrossEntropy {
             self.deviation.fill(0.5);
             self.generation = 0.0;
         }
-        let normal = |random: &mut Stream| -> f64 { StandardNormal.sample(random) };
-        let mut point = || -> Vec<f64> {
-            let spread = self.mean.iter().zip(&self.deviation);
-            spread
-                .map(|(mean, deviation)| {
-                    (mean + deviation * normal(&mut self.random)).clamp(0.0, 1.0)
-                })
-                .collect()
-        };
-        self.pending = (0..POPULATION).map(|_| point()).collect();
+        self.pending = (0..POPULATION).map(|_| self.sample()).collect();
         self.pending.clone()
     }
 
@@ -81,10 +85,10 @@ impl SearchAlgorithm for CrossEntropy {
         let fading = DEVIATION_SMOOTHING
             - DEVIATION_SMOOTHING * (1.0 - 1.0 / self.generation).powf(SMOOTHING_EXPONENT);
         for (i, (mean, deviation)) in self.mean.iter_mut().zip(&mut self.deviation).enumerate() {
-            let elite = || ranked.iter().filter_map(|(_, point)| point.get(i));
-            let centre = elite().sum::<f64>() / ELITE_SIZE as f64;
-            let spread =
-                (elite().map(|x| (x - centre).powi(2)).sum::<f64>() / ELITE_SIZE as f64).sqrt();
+            let elite = ranked.iter().filter_map(|(_, point)| point.get(i));
+            let centre = elite.clone().sum::<f64>() / ELITE_SIZE as f64;
+            let squares = elite.map(|x| (x - centre).powi(2));
+            let spread = (squares.sum::<f64>() / ELITE_SIZE as f64).sqrt();
             *mean += MEAN_SMOOTHING * (centre - *mean);
             *deviation += fading * (spread - *deviation);
         }

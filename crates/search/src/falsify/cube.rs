@@ -136,13 +136,12 @@ impl UnitCube {
         let mut refined = Vec::with_capacity(self.dimension());
         for (fine, rough) in self.blocks.iter().zip(&coarse.blocks) {
             let values = point.get(rough.clone()).unwrap_or_default();
-            let at = |i: usize| {
+            refined.extend((0..fine.len()).map(|i| {
                 values
                     .get(i * rough.len() / fine.len())
                     .copied()
                     .unwrap_or(0.0)
-            };
-            refined.extend((0..fine.len()).map(at));
+            }));
         }
         refined
     }
@@ -154,15 +153,12 @@ impl UnitCube {
         for (fine, rough) in self.blocks.iter().zip(&coarse.blocks) {
             let values = point.get(fine.clone()).unwrap_or_default();
             means.extend((0..rough.len()).map(|piece| {
-                let own = |i: &usize| i * rough.len() / fine.len() == piece;
-                let of_piece = || {
-                    values
-                        .iter()
-                        .enumerate()
-                        .filter(|(i, _)| own(i))
-                        .map(|(_, value)| value)
-                };
-                of_piece().sum::<f64>() / of_piece().count().max(1) as f64
+                let own = values
+                    .iter()
+                    .enumerate()
+                    .filter(|(i, _)| i * rough.len() / fine.len() == piece)
+                    .map(|(_, value)| value);
+                own.clone().sum::<f64>() / own.count().max(1) as f64
             }));
         }
         means
@@ -200,14 +196,14 @@ impl UnitCube {
     /// Returns the distance of two points: the sum over blocks of the mean difference, from 0 to the number of blocks.
     #[must_use]
     pub fn distance(&self, a: &[f64], b: &[f64]) -> f64 {
-        let of_block = |block: &Range<usize>| {
-            let (a, b) = (
-                a.get(block.clone()).unwrap_or_default(),
-                b.get(block.clone()).unwrap_or_default(),
-            );
-            a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / block.len() as f64
-        };
-        self.blocks.iter().map(of_block).sum()
+        self.blocks
+            .iter()
+            .map(|block| {
+                let a = a.get(block.clone()).unwrap_or_default();
+                let b = b.get(block.clone()).unwrap_or_default();
+                a.iter().zip(b).map(|(x, y)| (x - y).abs()).sum::<f64>() / block.len() as f64
+            })
+            .sum()
     }
 }
 
@@ -220,7 +216,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn coarse_points_survive_refinement(
+        fn refined_points_coarsen_to_the_same_points(
             lengths in prop::collection::vec(1usize..25, 1..4),
             pieces in 1usize..25,
             values in prop::collection::vec(0.0..1.0f64, 75),

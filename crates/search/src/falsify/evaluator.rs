@@ -36,16 +36,16 @@ impl Evaluator<'_> {
     /// Returns the verdicts of many scenarios, which are simulated together.
     pub(super) fn evaluate_all(
         &self,
-        asked: &[(&Scenario, u32)],
+        simulations: &[(&Scenario, u32)],
     ) -> Vec<Result<RunVerdict, SpecificationError>> {
-        let own = self.evaluate_with(self.controller, asked);
+        let own = self.evaluate_with(self.controller, simulations);
         let Some(criterion) = self.failure_criterion else {
             return own;
         };
-        let beside = self.evaluate_with(criterion.partner_controller(), asked);
-        let pairs = own.into_iter().zip(beside);
-        pairs
-            .map(|(own, beside)| Ok(FailureCriterion::combine_verdicts(own?, beside?)))
+        let partner = self.evaluate_with(criterion.partner_controller(), simulations);
+        own.into_iter()
+            .zip(partner)
+            .map(|(own, partner)| Ok(FailureCriterion::combine_verdicts(own?, partner?)))
             .collect()
     }
 
@@ -71,20 +71,21 @@ impl Evaluator<'_> {
     fn evaluate_with(
         &self,
         controller: &NamedController,
-        asked: &[(&Scenario, u32)],
+        simulations: &[(&Scenario, u32)],
     ) -> Vec<Result<RunVerdict, SpecificationError>> {
-        let prepared = asked.iter().map(|(scenario, parts)| {
+        let prepared = simulations.iter().map(|(scenario, parts)| {
             let options = run_options(controller, self.estimator, scenario, *parts);
             Run::new(
                 scenario,
                 options.with_after_contact(self.specification.after_contact()),
             )
         });
-        let (mut runs, mut refused) = (Vec::new(), Vec::new());
-        for (place, run) in prepared.enumerate() {
+        let mut runs = Vec::new();
+        let mut refused = Vec::new();
+        for (index, run) in prepared.enumerate() {
             match run {
                 Ok(run) => runs.push(run),
-                Err(error) => refused.push((place, error)),
+                Err(error) => refused.push((index, error)),
             }
         }
         let mut verdicts: Vec<Result<RunVerdict, SpecificationError>> = simulate_batch(
@@ -98,7 +99,7 @@ impl Evaluator<'_> {
         // Insert in ascending order, so that each index exists.
         refused
             .into_iter()
-            .for_each(|(place, error)| verdicts.insert(place, Err(error.into())));
+            .for_each(|(index, error)| verdicts.insert(index, Err(error.into())));
         verdicts
     }
 }

@@ -22,25 +22,25 @@ pub enum FailureCriterion {
 impl FailureCriterion {
     /// Returns the controller of the partner simulation.
     pub(super) fn partner_controller(&self) -> &NamedController {
-        let Self::Differential(other) = self;
-        other
+        let Self::Differential(partner) = self;
+        partner
     }
 
     pub(super) fn is_self_comparison(&self, own: &NamedController) -> bool {
-        let digest =
-            |controller: &NamedController| controller.policy().map(|policy| policy.digest());
-        let other = self.partner_controller();
+        let partner = self.partner_controller();
         let is_named_alike =
-            other.name == own.name && other.disambiguating_hash() == own.disambiguating_hash();
-        is_named_alike && digest(other) == digest(own)
+            partner.name == own.name && partner.disambiguating_hash() == own.disambiguating_hash();
+        let own_digest = own.policy().map(|policy| policy.digest());
+        let partner_digest = partner.policy().map(|policy| policy.digest());
+        is_named_alike && partner_digest == own_digest
     }
 
     pub(super) fn to_record(&self) -> FailureCriterionRecord {
-        let other = self.partner_controller();
+        let partner = self.partner_controller();
         FailureCriterionRecord::Differential {
-            controller: other.name.clone(),
-            policy_sha256: other.policy().map(|policy| policy.digest()),
-            controller_sha256: other.disambiguating_hash(),
+            controller: partner.name.clone(),
+            policy_sha256: partner.policy().map(|policy| policy.digest()),
+            controller_sha256: partner.disambiguating_hash(),
         }
     }
 
@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_failure_counts_where_the_partner_holds() {
+    fn a_failure_counts_only_if_the_partner_passes() {
         let evaluated = |own: f64, partner: f64| {
             FailureCriterion::combine_verdicts(RunVerdict::new(own), RunVerdict::new(partner))
                 .robustness
@@ -128,15 +128,15 @@ mod tests {
     }
 
     #[test]
-    fn a_partner_without_an_answer_neither_holds_nor_fails() {
+    fn a_partner_without_an_answer_makes_the_robustness_infinite() {
         let silent = RunVerdict {
             failure: Some((1.5, 1)),
             ..RunVerdict::new(f64::NEG_INFINITY)
         };
         for own in [RunVerdict::new(-3.0), RunVerdict::new(3.0), silent] {
-            let beside = FailureCriterion::combine_verdicts(own, silent);
+            let combined = FailureCriterion::combine_verdicts(own, silent);
             assert_eq!(
-                (beside.robustness, beside.failure),
+                (combined.robustness, combined.failure),
                 (f64::INFINITY, Some((1.5, 1)))
             );
         }

@@ -115,16 +115,16 @@ mod tests {
     }
 
     #[test]
-    fn spreads_more_evenly_than_uniform_points() {
+    fn halton_points_spread_more_evenly_than_uniform_ones() {
         for dimension in [2, 5] {
             let cube = UnitCube::new([dimension]).unwrap();
             let mean = |method: Method| {
-                let of = |seed| {
+                let estimate = |seed| {
                     let mut search = method.start(&cube, seed);
                     let points: Vec<_> = (0..8).flat_map(|_| search.ask()).collect();
                     squared_discrepancy(&points)
                 };
-                (0..10).map(of).sum::<f64>() / 10.0
+                (0..10).map(estimate).sum::<f64>() / 10.0
             };
             assert!(
                 mean(Method::Halton) < 0.35 * mean(Method::Uniform),
@@ -140,12 +140,12 @@ mod tests {
         for (coordinate, base) in [2, 3, 5].into_iter().enumerate() {
             let strata = 25 / base * base;
             for block in points[..strata].chunks(base) {
-                let mut seen: Vec<_> = block
+                let mut occupied: Vec<_> = block
                     .iter()
                     .map(|p| (p[coordinate] * base as f64) as usize)
                     .collect();
-                seen.sort_unstable();
-                assert_eq!(seen, (0..base).collect::<Vec<_>>());
+                occupied.sort_unstable();
+                assert_eq!(occupied, (0..base).collect::<Vec<_>>());
             }
         }
     }

@@ -56,13 +56,14 @@ impl LeaderDescent {
     }
 
     pub(super) fn ask(&mut self) -> Vec<Vec<f64>> {
-        let mut asked = self.descent.ask();
-        if asked.is_empty() && !self.is_joint {
-            let (point, robustness) = (self.full_point(self.descent.point()), self.descent.value());
+        let mut proposals = self.descent.ask();
+        if proposals.is_empty() && !self.is_joint {
+            let point = self.full_point(self.descent.point());
+            let robustness = self.descent.value();
             *self = Self::with_coordinates((0..point.len()).collect(), point, robustness, true);
-            asked = self.descent.ask();
+            proposals = self.descent.ask();
         }
-        asked.iter().map(|at| self.full_point(at)).collect()
+        proposals.iter().map(|at| self.full_point(at)).collect()
     }
 
     pub(super) fn tell(&mut self, robustness: &[f64]) {
@@ -72,8 +73,8 @@ impl LeaderDescent {
     fn full_point(&self, at: &[f64]) -> Vec<f64> {
         let mut whole = self.point.clone();
         for (&coordinate, &value) in self.coordinates.iter().zip(at) {
-            if let Some(place) = whole.get_mut(coordinate) {
-                *place = value;
+            if let Some(target) = whole.get_mut(coordinate) {
+                *target = value;
             }
         }
         whole

@@ -191,10 +191,12 @@ impl FromStr for Method {
     type Err = UnknownMethod;
 
     fn from_str(name: &str) -> Result<Self, UnknownMethod> {
-        let found = Self::ALL.into_iter().find(|method| method.name() == name);
-        found.ok_or_else(|| UnknownMethod {
-            name: name.to_owned(),
-        })
+        Self::ALL
+            .into_iter()
+            .find(|method| method.name() == name)
+            .ok_or_else(|| UnknownMethod {
+                name: name.to_owned(),
+            })
     }
 }
 
@@ -329,23 +331,24 @@ mod tests {
             let cube = UnitCube::new(lengths).unwrap().with_leader_coordinates(leader);
             for method in Method::ALL {
                 prop_assert_eq!(&method.name().parse::<Method>().unwrap(), &method);
-                let (mut one, mut other) = (method.start(&cube, seed), method.start(&cube, seed));
+                let mut search = method.start(&cube, seed);
+                let mut twin = method.start(&cube, seed);
                 for round in 0..12 {
-                    let points = one.ask();
-                    prop_assert_eq!(&points, &other.ask(), "{}", method);
+                    let points = search.ask();
+                    prop_assert_eq!(&points, &twin.ask(), "{}", method);
                     prop_assert!(!points.is_empty());
                     for point in &points {
                         prop_assert_eq!(point.len(), cube.dimension());
                         prop_assert!(point.iter().all(|x| (0.0..=1.0).contains(x)), "{}: {:?}", method, point);
                     }
                     let costs: Vec<f64> = (0..points.len()).map(|i| values[(7 * i + round) % values.len()]).collect();
-                    one.tell(&costs);
-                    other.tell(&costs);
+                    search.tell(&costs);
+                    twin.tell(&costs);
                 }
                 // The budget ends in the middle of a batch.
-                let points = one.ask();
-                one.tell(&vec![1.0; points.len() / 2]);
-                prop_assert!(!one.ask().is_empty());
+                let points = search.ask();
+                search.tell(&vec![1.0; points.len() / 2]);
+                prop_assert!(!search.ask().is_empty());
             }
         }
     }

@@ -59,12 +59,13 @@ impl Plateaus {
                 self.other_points.push(index);
             }
             Entry::Occupied(first) => {
-                if let Ok(place) = self.other_points.binary_search(first.get()) {
-                    self.other_points.remove(place);
-                    let place = self
+                // The first point of a value begins a plateau once the value occurs again.
+                if let Ok(position) = self.other_points.binary_search(first.get()) {
+                    self.other_points.remove(position);
+                    let position = self
                         .plateau_points
-                        .partition_point(|known| known < first.get());
-                    self.plateau_points.insert(place, *first.get());
+                        .partition_point(|index| index < first.get());
+                    self.plateau_points.insert(position, *first.get());
                 }
                 self.plateau_points.push(index);
             }
@@ -94,11 +95,10 @@ impl Plateaus {
             })
             .min_by(|a, b| a.0.total_cmp(&b.0))?;
         self.used_segments.insert((from, to));
-        let (inside, outside) = (inside.clone(), outside.clone());
         Some(Segment {
             plateau_value: *plateau,
-            inside,
-            outside,
+            inside: inside.clone(),
+            outside: outside.clone(),
             outside_value,
             halvings: 0,
         })
@@ -111,7 +111,7 @@ impl Plateaus {
         if half.halvings == PRUNING_HALVINGS {
             let better = self
                 .edge_values
-                .partition_point(|known| *known < half.outside_value);
+                .partition_point(|value| *value < half.outside_value);
             self.edge_values.insert(better, half.outside_value);
             if 2 * better > self.edge_values.len() {
                 return None;
@@ -167,18 +167,19 @@ mod tests {
             .filter_map(|_| plateaus.next_segment(&cube, &mut random))
             .collect();
         assert_eq!(segments.len(), 6);
-        for (place, one) in segments.iter().enumerate() {
-            assert!(
-                segments
-                    .iter()
-                    .skip(place + 1)
-                    .all(|other| (&one.inside, &one.outside) != (&other.inside, &other.outside))
-            );
+        for (index, segment) in segments.iter().enumerate() {
+            assert!(segments.iter().skip(index + 1).all(|later| (
+                &segment.inside,
+                &segment.outside
+            ) != (
+                &later.inside,
+                &later.outside
+            )));
         }
     }
 
     #[test]
-    fn a_segment_with_a_poor_value_beyond_the_edge_is_given_up() {
+    fn a_segment_with_a_bad_value_beyond_the_edge_is_dropped() {
         let mut plateaus = Plateaus::default();
         let mut halvings = |beyond: f64| {
             let (inside, outside) = (vec![0.0], vec![1.0]);
@@ -190,13 +191,13 @@ mod tests {
                 halvings: 0,
             });
             let mut halvings = 0;
-            while let Some(one) = segment {
-                let value = if one.midpoint() < vec![0.3] {
+            while let Some(current) = segment {
+                let value = if current.midpoint() < vec![0.3] {
                     1.0
                 } else {
                     beyond
                 };
-                segment = plateaus.halve(one, value);
+                segment = plateaus.halve(current, value);
                 halvings += 1;
             }
             halvings

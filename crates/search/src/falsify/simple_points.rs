@@ -52,9 +52,13 @@ fn sample_value(extreme: f64, random: &mut Stream) -> f64 {
 
 /// Returns the piece of a signal at `index`: the maximal run of equal values.
 fn piece_at(block: &Range<usize>, point: &[f64], index: usize) -> Range<usize> {
-    let same = |other: &usize| point.get(*other) == point.get(index);
-    let before = (block.start..index).rev().take_while(same).count();
-    let after = (index + 1..block.end).take_while(same).count();
+    let before = (block.start..index)
+        .rev()
+        .take_while(|&i| point.get(i) == point.get(index))
+        .count();
+    let after = (index + 1..block.end)
+        .take_while(|&i| point.get(i) == point.get(index))
+        .count();
     index - before..index + 1 + after
 }
 
@@ -74,55 +78,104 @@ pub(super) fn sample_neighbour(
         left <= 0.0
     })?;
     let block = cube.blocks().iter().find(|block| block.contains(&index))?;
-    let piece = piece_at(block, point, index);
-    let own = *point.get(index)?;
-    let before = piece
-        .start
-        .checked_sub(1)
-        .filter(|i| block.contains(i))
-        .and_then(|i| point.get(i))
-        .copied();
-    let after = Some(piece.end)
-        .filter(|i| block.contains(i))
-        .and_then(|i| point.get(i))
-        .copied();
-    let reach = if random.random_bool(0.3) {
-        random.random_range(1..=3)
-    } else {
-        1
-    };
-    let (range, new) = match random.random_range(0..20) {
-        0..10 => {
-            let step = STEP_DEVIATION.start
-                * (STEP_DEVIATION.end / STEP_DEVIATION.start).powf(random.random());
-            let change: f64 = StandardNormal.sample(random);
-            (piece, (own + step * change).clamp(0.0, 1.0))
-        }
-        10..13 => (piece, sample_value(0.5, random)),
-        // Moves of a border, in either direction.
-        13 => (
-            piece.start.saturating_sub(reach).max(block.start)..piece.start,
-            own,
-        ),
-        14 => (piece.start..(piece.start + reach).min(piece.end), before?),
-        15 => (piece.end..(piece.end + reach).min(block.end), own),
-        16 => (
-            piece.end.saturating_sub(reach).max(piece.start)..piece.end,
-            after?,
-        ),
-        17 => (piece, if random.random() { before? } else { after? }),
-        // Splits, with a new value for the rest of the piece or of the signal.
-        18 => (
-            if random.random() {
-                piece.start..index + 1
-            } else {
-                index..piece.end
-            },
-            sample_value(0.5, random),
-        ),
-        _ => (index..block.end, sample_value(0.5, random)),
-    };
+    let change = SignalPiece::new(block, point, index)?.draw_change(random)?;
     let mut changed = point.to_vec();
-    changed.get_mut(range)?.fill(new);
+    changed.get_mut(change.coordinates)?.fill(change.value);
     (changed != point).then_some(changed)
+}
+
+/// A piece of a signal, with a coordinate at which it may be split.
+struct SignalPiece<'a> {
+    block: &'a Range<usize>,
+    range: Range<usize>,
+    index: usize,
+    value: f64,
+    value_before: Option<f64>,
+    value_after: Option<f64>,
+}
+
+/// A new value of some coordinates.
+struct CoordinateChange {
+    coordinates: Range<usize>,
+    value: f64,
+}
+
+impl CoordinateChange {
+    fn new(coordinates: Range<usize>, value: f64) -> Self {
+        Self { coordinates, value }
+    }
+}
+
+impl<'a> SignalPiece<'a> {
+    fn new(block: &'a Range<usize>, point: &[f64], index: usize) -> Option<Self> {
+        let range = piece_at(block, point, index);
+        Some(Self {
+            value_before: range
+                .start
+                .checked_sub(1)
+                .filter(|i| block.contains(i))
+                .and_then(|i| point.get(i))
+                .copied(),
+            value_after: Some(range.end)
+                .filter(|i| block.contains(i))
+                .and_then(|i| point.get(i))
+                .copied(),
+            block,
+            range,
+            index,
+            value: *point.get(index)?,
+        })
+    }
+
+    /// Draws a change; `None` if it needs a neighbouring piece that does not exist.
+    fn draw_change(&self, random: &mut Stream) -> Option<CoordinateChange> {
+        let start = self.range.start;
+        let end = self.range.end;
+        let reach = if random.random_bool(0.3) {
+            random.random_range(1..=3)
+        } else {
+            1
+        };
+        Some(match random.random_range(0..20) {
+            0..10 => CoordinateChange::new(start..end, self.draw_near_value(random)),
+            10..13 => CoordinateChange::new(start..end, sample_value(0.5, random)),
+            // Moves of a border, in either direction.
+            13 => {
+                let border = start.saturating_sub(reach).max(self.block.start);
+                CoordinateChange::new(border..start, self.value)
+            }
+            14 => CoordinateChange::new(start..(start + reach).min(end), self.value_before?),
+            15 => CoordinateChange::new(end..(end + reach).min(self.block.end), self.value),
+            16 => {
+                CoordinateChange::new(end.saturating_sub(reach).max(start)..end, self.value_after?)
+            }
+            17 => {
+                let is_before = random.random();
+                let value = if is_before {
+                    self.value_before?
+                } else {
+                    self.value_after?
+                };
+                CoordinateChange::new(start..end, value)
+            }
+            // Splits, with a new value for the rest of the piece or of the signal.
+            18 => {
+                let is_first_part = random.random();
+                let part = if is_first_part {
+                    start..self.index + 1
+                } else {
+                    self.index..end
+                };
+                CoordinateChange::new(part, sample_value(0.5, random))
+            }
+            _ => CoordinateChange::new(self.index..self.block.end, sample_value(0.5, random)),
+        })
+    }
+
+    fn draw_near_value(&self, random: &mut Stream) -> f64 {
+        let step = STEP_DEVIATION.start
+            * (STEP_DEVIATION.end / STEP_DEVIATION.start).powf(random.random());
+        let change: f64 = StandardNormal.sample(random);
+        (self.value + step * change).clamp(0.0, 1.0)
+    }
 }

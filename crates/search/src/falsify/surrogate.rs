@@ -69,20 +69,17 @@ impl Metric {
     /// Returns all metrics that differ in a cube: without signals, only the length matters.
     fn candidates(cube: &UnitCube) -> impl Iterator<Item = Self> {
         let signals = cube.blocks().iter().any(|block| block.len() > 1);
-        let (readings, horizons) = if signals {
-            (SIGNAL_FEATURES.len(), HORIZON_COUNT)
-        } else {
-            (1, 1)
-        };
+        let features = if signals { SIGNAL_FEATURES.len() } else { 1 };
+        let horizons = if signals { HORIZON_COUNT } else { 1 };
         SIGNAL_FEATURES
             .into_iter()
-            .take(readings)
-            .flat_map(move |reading| {
+            .take(features)
+            .flat_map(move |signal_feature| {
                 (0..horizons).flat_map(move |horizon| {
-                    (0..LENGTH_COUNT).map(move |length| Self {
-                        signal_feature: reading,
+                    (0..LENGTH_COUNT).map(move |length_exponent| Self {
+                        signal_feature,
                         horizon,
-                        length_exponent: length,
+                        length_exponent,
                     })
                 })
             })
@@ -123,18 +120,18 @@ impl Metric {
 }
 
 impl Surrogate {
-    /// Fits a model to the last ones of `known` points; `None` if there are too few or the factorisation fails.
+    /// Fits a model to `data`, the last ones of `total` points; `None` if there are too few or the factorisation fails.
     pub(super) fn fit(
         cube: &UnitCube,
         data: &[(Vec<f64>, f64)],
-        known: usize,
-        chosen: &mut MetricSelection,
+        total: usize,
+        selection: &mut MetricSelection,
     ) -> Option<Self> {
         if data.is_empty() {
             return None;
         }
         let scores = DVector::from_vec(scores(data));
-        if known as f64 >= RESELECTION_GROWTH * chosen.points as f64 {
+        if total as f64 >= RESELECTION_GROWTH * selection.points as f64 {
             let metrics: Vec<Metric> = Metric::candidates(cube).collect();
             // Fits are independent and compared in a fixed order, so threads do not change the result.
             let fits = metrics
@@ -146,13 +143,13 @@ impl Surrogate {
                 .flatten()
                 .filter(|(likelihood, _)| !likelihood.is_nan());
             let (_, likeliest) = fits.max_by(|a, b| a.0.total_cmp(&b.0))?;
-            *chosen = MetricSelection {
+            *selection = MetricSelection {
                 metric: likeliest.metric,
-                points: known,
+                points: total,
             };
             return Some(likeliest);
         }
-        Self::fit_with_metric(cube, data, &scores, chosen.metric).map(|(_, fit)| fit)
+        Self::fit_with_metric(cube, data, &scores, selection.metric).map(|(_, fit)| fit)
     }
 
     fn fit_with_metric(
@@ -192,15 +189,14 @@ impl Surrogate {
 
     /// Returns the predicted score of a point: lower is better.
     pub(super) fn score(&self, point: &[f64]) -> f64 {
-        let (own, length) = (
-            self.metric.features(&self.cube, point),
-            self.metric.length_scale(&self.cube),
-        );
-        let near = self
+        let own = self.metric.features(&self.cube, point);
+        let length = self.metric.length_scale(&self.cube);
+        let kernels = self
             .features
             .iter()
-            .map(|known| matern(square_distance(known, &own), length));
-        near.zip(self.weights.iter())
+            .map(|features| matern(square_distance(features, &own), length));
+        kernels
+            .zip(self.weights.iter())
             .map(|(kernel, weight)| kernel * weight)
             .sum()
     }
@@ -210,14 +206,13 @@ impl Surrogate {
 fn scores(data: &[(Vec<f64>, f64)]) -> Vec<f64> {
     let mut sorted: Vec<f64> = data.iter().map(|(_, value)| *value).collect();
     sorted.sort_by(f64::total_cmp);
-    let rank = |value: f64| {
-        let below = sorted.partition_point(|x| *x < value);
-        let equal = sorted.partition_point(|x| *x <= value) - below;
-        (below as f64 + 0.5 * equal as f64) / sorted.len() as f64
-    };
     data.iter()
-        .map(|(_, value)| rank(*value))
-        .map(|share| (share / (1.0 - share)).ln())
+        .map(|(_, value)| {
+            let below = sorted.partition_point(|x| x < value);
+            let equal = sorted.partition_point(|x| x <= value) - below;
+            let rank = (below as f64 + 0.5 * equal as f64) / sorted.len() as f64;
+            (rank / (1.0 - rank)).ln()
+        })
         .collect()
 }
 
@@ -236,7 +231,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn finds_out_that_only_the_early_integral_counts() {
+    fn the_metric_compares_early_integrals_if_only_they_count() {
         let cube = UnitCube::new([10, 10]).unwrap();
         let mut search = Method::Uniform.start(&cube, 5);
         let points: Vec<Vec<f64>> = std::iter::repeat_with(|| search.ask())
@@ -249,9 +244,9 @@ mod tests {
             .iter()
             .map(|point| (point.clone(), value(point)))
             .collect();
-        let (known, unknown) = data.split_at(60);
+        let (training, test) = data.split_at(60);
         let mut chosen = MetricSelection::default();
-        let free = Surrogate::fit(&cube, known, known.len(), &mut chosen).unwrap();
+        let free = Surrogate::fit(&cube, training, training.len(), &mut chosen).unwrap();
         assert!(
             chosen.metric.horizon > 0 && chosen.metric.signal_feature != SignalFeature::Values,
             "{chosen:?}"
@@ -259,14 +254,13 @@ mod tests {
 
         let plain = Metric::candidates(&cube)
             .filter(|metric| metric.horizon == 0 && metric.signal_feature == SignalFeature::Values);
-        let scores = DVector::from_vec(scores(known));
+        let scores = DVector::from_vec(scores(training));
         let plain =
-            plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, known, &scores, metric));
+            plain.filter_map(|metric| Surrogate::fit_with_metric(&cube, training, &scores, metric));
         let (_, plain) = plain.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         let pairs = || {
-            unknown
-                .iter()
-                .flat_map(|a| unknown.iter().map(move |b| (a, b)))
+            test.iter()
+                .flat_map(|a| test.iter().map(move |b| (a, b)))
                 .filter(|(a, b)| a.1 < b.1)
         };
         let wrong = |fit: &Surrogate| {

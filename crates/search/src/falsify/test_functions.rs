@@ -120,7 +120,7 @@ fn cross_entropy_reaches_its_accuracy() {
 }
 
 #[test]
-fn the_portfolio_is_far_ahead_of_uniform_points_on_smooth_functions_too() {
+fn the_portfolio_beats_uniform_points_on_smooth_functions() {
     for (name, function, dimension, target) in [
         ("sphere", sphere as TestFunction, 5, 1e-1),
         ("Ackley", ackley, 5, 2.0),

@@ -184,7 +184,7 @@ pub const MAX_TOTAL_VEHICLE_STEPS: usize = 20_000_000_000;
 pub fn attack(
     scenario: &Scenario,
     options: &RunOptions,
-    aim: AttackObjective,
+    objective: AttackObjective,
     envelope: Envelope,
     budget: usize,
     observer: &dyn Observer<RunProgress>,
@@ -199,6 +199,25 @@ pub fn attack(
         return Err(AttackError::LaneChanges);
     }
     check_size(scenario, budget)?;
+    let usable = usable_envelope(envelope, scenario)?;
+    let mut simulator = ProfileSimulator::new(scenario, options, usable, budget, observer);
+    // A jerk limit that allows full braking within half a cell has no effect, and a huge one would make the program
+    // ill-conditioned.
+    let boundless_mps3 = 2.0 * usable.max_brake_mps2 / simulator.cell_s();
+    simulator.envelope.jerk_mps3 = usable.jerk_mps3.min(boundless_mps3);
+    let attack = sequential::attack(&mut simulator, objective, budget)?;
+    Ok(AttackResult {
+        attack,
+        evaluations: simulator.evaluations,
+        programs: simulator.programs,
+    })
+}
+
+/// Limits an envelope to the braking of the leader.
+///
+/// # Errors
+/// [`AttackError::EmptyEnvelope`] if it allows no braking.
+fn usable_envelope(envelope: Envelope, scenario: &Scenario) -> Result<Envelope, AttackError> {
     let requested_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = requested_mps2.min(scenario.usable_brake_mps2(0));
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || requested_mps2.is_nan() {
@@ -207,31 +226,16 @@ pub fn attack(
             jerk_mps3: envelope.jerk_mps3,
         });
     }
-    let mut bench = ProfileSimulator::new(
-        scenario,
-        options,
-        Envelope {
-            max_brake_mps2,
-            ..envelope
-        },
-        budget,
-        observer,
-    );
-    // A jerk limit that allows full braking within half a cell has no effect, and a huge one would make the program
-    // ill-conditioned.
-    let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
-    bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
-    let found = sequential::attack(&mut bench, aim, budget)?;
-    Ok(AttackResult {
-        attack: found,
-        evaluations: bench.evaluations,
-        programs: bench.programs,
+    Ok(Envelope {
+        max_brake_mps2,
+        ..envelope
     })
 }
 
 /// Checks the size of a scenario, and that of `budget` simulations of it.
 pub(super) fn check_size(scenario: &Scenario, budget: usize) -> Result<(), AttackError> {
-    let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
+    let vehicles = scenario.vehicles().len();
+    let steps = scenario.steps();
     let all = vehicles.saturating_mul(steps);
     if all > MAX_VEHICLE_STEPS {
         Err(AttackError::TooLarge { vehicles, steps })

@@ -60,26 +60,26 @@ impl AttackReport {
         scenario: &str,
         controller: &NamedController,
         estimator: EstimatorKind,
-        aim: AttackObjective,
+        objective: AttackObjective,
         budget: usize,
         result: &AttackResult,
     ) -> Self {
-        let found = result.attack.as_ref();
+        let attack = result.attack.as_ref();
         // A simulation that its controller ended has no margin and no optimality.
-        let answered = found.filter(|attack| attack.outcome.failed_controller().is_none());
+        let answered = attack.filter(|attack| attack.outcome.failed_controller().is_none());
         let is_over_budget = result.evaluations > budget;
         Self {
             scenario: scenario.to_owned(),
             controller: controller.name.clone(),
             estimator: estimator.name(),
-            aim: aim.name(),
+            aim: objective.name(),
             nondeterministic: !controller.source.is_deterministic(),
-            found: found.is_some(),
+            found: attack.is_some(),
             method: answered.map(|_| "sequential"),
             optimality: answered.map(|_| "best-found"),
-            outcome: found.map(|attack| attack.outcome.clone()),
-            effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
-            peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),
+            outcome: attack.map(|attack| attack.outcome.clone()),
+            effort_m2ps3: attack.map(|attack| attack.effort_m2ps3),
+            peak_brake_mps2: attack.map(|attack| attack.peak_brake_mps2),
             predicted_margin_m: answered.map(|attack| attack.predicted_margin_m),
             margin_m: answered.map(|attack| attack.margin_m),
             evaluations: result.evaluations,

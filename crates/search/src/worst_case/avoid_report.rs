@@ -60,7 +60,8 @@ impl<'a> AvoidReport<'a> {
             AvoidanceVerdict::Undecided(reason) => Some(reason),
             AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
         };
-        let survives = |escape: &Escape| escape_survives(scenario, &escape.acceleration_mps2);
+        let survives =
+            escape.and_then(|escape| escape_survives(scenario, &escape.acceleration_mps2));
         Self {
             scenario: &scenario.spec().name,
             verdict: avoidance.verdict.name(),
@@ -76,7 +77,7 @@ impl<'a> AvoidReport<'a> {
             escape_found_by: escape.map(|escape| escape.found_by.name()),
             programs: avoidance.programs,
             simulations: escape.map_or(0, |escape| simulations(escape.found_by)),
-            escape_survives_multi_body: escape.and_then(survives),
+            escape_survives_multi_body: survives,
             reason,
         }
     }

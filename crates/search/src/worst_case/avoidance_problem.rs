@@ -37,74 +37,21 @@ impl AvoidanceProblem {
         if !scenario.has_only_point_masses() {
             return Err(UndecidedReason::Plant);
         }
-        let vehicles = scenario.vehicles();
         let last_ego = last_ego(scenario)?;
-        let ego = |index: usize| {
-            let vehicle = &vehicles[index];
-            SceneEgo {
-                position_m: Interval::point(vehicle.position_m),
-                speed_mps: Interval::point(vehicle.speed_mps),
-                length_m: vehicle.length_m(),
-                max_brake_mps2: scenario.usable_brake_mps2(index),
-                max_accel_mps2: vehicle.max_accel_mps2(),
-            }
-        };
-        let has_lag = |v: &VehicleSpec| !v.response().is_full_at_once();
-        let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
-        let mut escape_caveat = under_test()
-            .find(|(_, v)| has_lag(v))
-            .map(|(vehicle, _)| UndecidedReason::EgoResponse { vehicle });
-        let mut proof_caveat = under_test()
-            .find(|(_, v)| v.acceleration_noise_mps2 > 0.0)
-            .map(|(vehicle, _)| UndecidedReason::Noise { vehicle });
-        if last_ego > MAX_EGOS {
-            proof_caveat.get_or_insert(UndecidedReason::TooManyVehicles {
-                egos: last_ego,
-                most: MAX_EGOS,
-            });
-        }
-        let behind = last_ego + 1;
-        let mut follower = None;
-        if let Some(vehicle) = vehicles.get(behind) {
-            match &vehicle.driver {
-                Driver::Controller(BuiltInController::Baseline(aeb)) if !has_lag(vehicle) => {
-                    if vehicle.acceleration_noise_mps2 > 0.0 {
-                        proof_caveat.get_or_insert(UndecidedReason::Noise { vehicle: behind });
-                    }
-                    follower = Some(SceneFollower {
-                        position_m: Interval::point(vehicle.position_m),
-                        speed_mps: Interval::point(vehicle.speed_mps),
-                        brake_mps2: Interval::point(scenario.usable_brake_mps2(behind)),
-                        ttc_s: aeb.ttc_s,
-                        reaction_steps: u32::try_from(delay_steps(scenario, vehicle))
-                            .unwrap_or(u32::MAX),
-                    });
-                }
-                // A proof remains possible: a collision ahead of this vehicle does not depend on its behaviour.
-                driver => {
-                    escape_caveat.get_or_insert(UndecidedReason::Follower {
-                        vehicle: behind,
-                        driver: driver.name(),
-                    });
-                }
-            }
-            if behind + 1 < vehicles.len() {
-                escape_caveat.get_or_insert(UndecidedReason::BehindFollower {
-                    vehicle: behind + 1,
-                });
-            }
-        }
+        let behind = BehindEgos::new(scenario, last_ego + 1);
         Ok(Self {
             step_s: scenario.spec().step_s,
             steps: scenario.steps(),
             leader: ScriptedLeader::new(scenario),
-            egos: (1..=last_ego).map(ego).collect(),
-            dead_steps: (1..=last_ego)
-                .map(|index| delay_steps(scenario, &vehicles[index]))
+            egos: (1..=last_ego)
+                .map(|index| scene_ego(scenario, index))
                 .collect(),
-            follower,
-            escape_caveat,
-            proof_caveat,
+            dead_steps: (1..=last_ego)
+                .map(|index| delay_steps(scenario, &scenario.vehicles()[index]))
+                .collect(),
+            follower: behind.follower,
+            escape_caveat: ego_response_caveat(scenario, last_ego).or(behind.escape_caveat),
+            proof_caveat: ego_proof_caveat(scenario, last_ego).or(behind.proof_caveat),
         })
     }
 
@@ -166,8 +113,8 @@ impl AvoidanceProblem {
         let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else {
             return f64::NAN;
         };
-        let of = |ego: &SceneEgo| self.coasting_m(ego.position_m, ego.speed_mps, step);
-        of(front) - front.length_m - of(rear)
+        let front_m = self.coasting_m(front.position_m, front.speed_mps, step);
+        front_m - front.length_m - self.coasting_m(rear.position_m, rear.speed_mps, step)
     }
 
     /// Returns the slack between the coasting last ego and a follower whose brake fires at `firing`, in metres.
@@ -183,7 +130,8 @@ impl AvoidanceProblem {
     /// Returns the front bumper of a follower that coasts until `firing` and the reaction time, then brakes, in metres.
     fn follower_front_m(&self, follower: &SceneFollower, firing: usize, step: usize) -> f64 {
         let brakes_from = (firing + follower.reaction_steps as usize).min(step);
-        let (v, brake_mps2) = (follower.speed_mps.low(), follower.brake_mps2.low());
+        let v = follower.speed_mps.low();
+        let brake_mps2 = follower.brake_mps2.low();
         let coasting_s = self.time_s(brakes_from);
         let braking_s = ((step - brakes_from) as f64 * self.step_s).min(v / brake_mps2);
         follower.position_m.low() + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
@@ -195,10 +143,8 @@ impl AvoidanceProblem {
             return f64::NAN;
         };
         let theta = follower.ttc_s;
-        let (own_m, rear_m) = (
-            self.coasting_m(ego.position_m, ego.speed_mps, firing),
-            self.coasting_m(follower.position_m, follower.speed_mps, firing),
-        );
+        let own_m = self.coasting_m(ego.position_m, ego.speed_mps, firing);
+        let rear_m = self.coasting_m(follower.position_m, follower.speed_mps, firing);
         // -(gap - θ (closing speed)) if all vehicles coast.
         -(own_m - ego.length_m - rear_m - theta * (follower.speed_mps.low() - ego.speed_mps.low()))
     }
@@ -218,6 +164,95 @@ impl AvoidanceProblem {
     }
 }
 
+/// Model of the vehicles behind the last ego.
+#[derive(Default)]
+struct BehindEgos {
+    follower: Option<SceneFollower>,
+    escape_caveat: Option<UndecidedReason>,
+    proof_caveat: Option<UndecidedReason>,
+}
+
+impl BehindEgos {
+    /// Models the vehicle at `index` as a follower with an emergency brake, if it has one and if there is one.
+    fn new(scenario: &Scenario, index: usize) -> Self {
+        let mut model = Self::default();
+        let Some(vehicle) = scenario.vehicles().get(index) else {
+            return model;
+        };
+        match &vehicle.driver {
+            Driver::Controller(BuiltInController::Baseline(aeb)) if !has_lag(vehicle) => {
+                let reaction_steps = delay_steps(scenario, vehicle);
+                model.proof_caveat = (vehicle.acceleration_noise_mps2 > 0.0)
+                    .then_some(UndecidedReason::Noise { vehicle: index });
+                model.follower = Some(SceneFollower {
+                    position_m: Interval::point(vehicle.position_m),
+                    speed_mps: Interval::point(vehicle.speed_mps),
+                    brake_mps2: Interval::point(scenario.usable_brake_mps2(index)),
+                    ttc_s: aeb.ttc_s,
+                    reaction_steps: u32::try_from(reaction_steps).unwrap_or(u32::MAX),
+                });
+            }
+            // A proof remains possible: a collision ahead of this vehicle does not depend on its behaviour.
+            driver => {
+                model.escape_caveat = Some(UndecidedReason::Follower {
+                    vehicle: index,
+                    driver: driver.name(),
+                });
+            }
+        }
+        if index + 1 < scenario.vehicles().len() {
+            model
+                .escape_caveat
+                .get_or_insert(UndecidedReason::BehindFollower { vehicle: index + 1 });
+        }
+        model
+    }
+}
+
+fn scene_ego(scenario: &Scenario, index: usize) -> SceneEgo {
+    let vehicle = &scenario.vehicles()[index];
+    SceneEgo {
+        position_m: Interval::point(vehicle.position_m),
+        speed_mps: Interval::point(vehicle.speed_mps),
+        length_m: vehicle.length_m(),
+        max_brake_mps2: scenario.usable_brake_mps2(index),
+        max_accel_mps2: vehicle.max_accel_mps2(),
+    }
+}
+
+fn has_lag(vehicle: &VehicleSpec) -> bool {
+    !vehicle.response().is_full_at_once()
+}
+
+/// Returns the egos, which are behind the leader, and their indices.
+fn egos(scenario: &Scenario, last_ego: usize) -> impl Iterator<Item = (usize, &VehicleSpec)> {
+    scenario
+        .vehicles()
+        .iter()
+        .enumerate()
+        .take(last_ego + 1)
+        .skip(1)
+}
+
+/// Returns the first ego whose lag the model ignores, as a reason.
+fn ego_response_caveat(scenario: &Scenario, last_ego: usize) -> Option<UndecidedReason> {
+    egos(scenario, last_ego)
+        .find(|(_, vehicle)| has_lag(vehicle))
+        .map(|(vehicle, _)| UndecidedReason::EgoResponse { vehicle })
+}
+
+/// Returns the reason why the egos alone prevent a proof: noise, or their number.
+fn ego_proof_caveat(scenario: &Scenario, last_ego: usize) -> Option<UndecidedReason> {
+    let noise = egos(scenario, last_ego)
+        .find(|(_, vehicle)| vehicle.acceleration_noise_mps2 > 0.0)
+        .map(|(vehicle, _)| UndecidedReason::Noise { vehicle });
+    let number = (last_ego > MAX_EGOS).then_some(UndecidedReason::TooManyVehicles {
+        egos: last_ego,
+        most: MAX_EGOS,
+    });
+    noise.or(number)
+}
+
 /// Returns the index of the last of the vehicles under test behind a scripted leader.
 fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
     let vehicles = scenario.vehicles();
@@ -230,13 +265,15 @@ fn last_ego(scenario: &Scenario) -> Result<usize, UndecidedReason> {
     {
         return Err(UndecidedReason::Leader);
     }
-    let is_ego = |vehicle: &VehicleSpec| vehicle.driver == Driver::UnderTest;
     let egos = vehicles
         .iter()
         .skip(1)
-        .take_while(|vehicle| is_ego(vehicle))
+        .take_while(|vehicle| vehicle.driver == Driver::UnderTest)
         .count();
-    if egos == 0 || vehicles.iter().filter(|vehicle| is_ego(vehicle)).count() > egos {
+    let all_under_test = vehicles
+        .iter()
+        .filter(|vehicle| vehicle.driver == Driver::UnderTest);
+    if egos == 0 || all_under_test.count() > egos {
         return Err(UndecidedReason::NoEgo);
     }
     Ok(egos)

@@ -28,8 +28,8 @@ fn build_scene(problem: &AvoidanceProblem) -> Scene {
             speed_mps: Interval::point(leader.speed_mps),
             acceleration_mps2: run_length_encode(&leader.acceleration_mps2)
                 .into_iter()
-                .map(|ConstantPiece(steps, held_mps2)| {
-                    ConstantPiece(steps, Interval::point(held_mps2))
+                .map(|ConstantPiece(steps, accel_mps2)| {
+                    ConstantPiece(steps, Interval::point(accel_mps2))
                 })
                 .collect(),
         },
@@ -46,7 +46,7 @@ pub(super) fn avoidable(
 ) -> Result<Certificate, UndecidedReason> {
     let witness = acceleration_mps2
         .iter()
-        .map(|each| run_length_encode(each))
+        .map(|steps_mps2| run_length_encode(steps_mps2))
         .collect();
     let statement = AvoidableClaim {
         scene: build_scene(problem),
@@ -97,10 +97,9 @@ fn wrap_statement(
     scenario: &Scenario,
     statement: Statement,
 ) -> Result<Certificate, UndecidedReason> {
-    let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable {
+    let text = file::to_toml(scenario).map_err(|error| UndecidedReason::Unwritable {
         why: error.to_string(),
-    };
-    let text = file::to_toml(scenario).map_err(unwritable)?;
+    })?;
     let mut certificate =
         build_certificate(scenario.spec().name.clone(), Some(text), None, statement);
     certificate
@@ -148,44 +147,21 @@ fn closing_branches(
     search: &FiringSearch<'_>,
     gap_m: f64,
 ) -> Option<Vec<Branch>> {
-    let never = problem.never_firing();
-    let closes = |proof: &DualProof, firing: usize, fired: bool| {
-        proof.excess(problem, firing, fired, gap_m) > ROUNDING_MARGIN
-    };
-    let earliest = |proof: &DualProof| -> Option<usize> {
-        let (mut open, mut closed) = (0, never);
-        if !closes(proof, never, false) {
-            return None;
-        }
-        while open < closed {
-            let middle = usize::midpoint(open, closed);
-            if closes(proof, middle, false) {
-                closed = middle
-            } else {
-                open = middle + 1
-            }
-        }
-        Some(closed)
-    };
-    let merged = search
+    let gap_claim = GapClaim { problem, gap_m };
+    let late_branches = search
         .proofs
         .iter()
-        .filter_map(|proof| Some((earliest(proof)?, proof)));
-    let (first_late, late) = merged.min_by_key(|(first, _)| *first)?;
+        .filter_map(|proof| Some((gap_claim.first_closed(proof)?, proof)));
+    let (first_late, late) = late_branches.min_by_key(|(first, _)| *first)?;
     let mut branches = Vec::new();
     let mut last_used: Option<&DualProof> = None;
     for firing in 0..first_late {
         let mut candidates = last_used.into_iter().chain(&search.proofs);
-        if let Some(proof) = candidates.find(|proof| closes(proof, firing, true)) {
+        if let Some(proof) = candidates.find(|proof| gap_claim.is_closed(proof, firing, true)) {
             branches.push(build_branch(problem, proof, [firing, firing], true, gap_m));
             last_used = Some(proof);
         } else {
-            let standing = [100, 20, 5, 1]
-                .map(|spacing| Multipliers::for_standstill(problem, firing, spacing));
-            let mut standing = standing
-                .into_iter()
-                .map(|multipliers| DualProof::new(problem, multipliers));
-            let proof = standing.find(|proof| closes(proof, firing, true))?;
+            let proof = gap_claim.standstill_proof(firing)?;
             branches.push(build_branch(problem, &proof, [firing, firing], true, gap_m));
         }
     }
@@ -200,6 +176,49 @@ fn closing_branches(
     Some(branches)
 }
 
+/// The claim that no profile keeps every gap at `gap_m`.
+struct GapClaim<'p> {
+    problem: &'p AvoidanceProblem,
+    gap_m: f64,
+}
+
+impl GapClaim<'_> {
+    /// Returns true if a proof holds for a firing, with some margin; `fired` states that the guard has fired by then.
+    fn is_closed(&self, proof: &DualProof, firing: usize, fired: bool) -> bool {
+        proof.excess(self.problem, firing, fired, self.gap_m) > ROUNDING_MARGIN
+    }
+
+    /// Returns the first firing from which a proof holds for all; `None` if it holds for none.
+    fn first_closed(&self, proof: &DualProof) -> Option<usize> {
+        let never = self.problem.never_firing();
+        if !self.is_closed(proof, never, false) {
+            return None;
+        }
+        let mut open = 0;
+        let mut closed = never;
+        while open < closed {
+            let middle = usize::midpoint(open, closed);
+            if self.is_closed(proof, middle, false) {
+                closed = middle
+            } else {
+                open = middle + 1
+            }
+        }
+        Some(closed)
+    }
+
+    /// Returns a proof from the standstill of all vehicles, with as few instants as suffice.
+    fn standstill_proof(&self, firing: usize) -> Option<DualProof> {
+        [100, 20, 5, 1]
+            .into_iter()
+            .map(|spacing| {
+                let multipliers = Multipliers::for_standstill(self.problem, firing, spacing);
+                DualProof::new(self.problem, multipliers)
+            })
+            .find(|proof| self.is_closed(proof, firing, true))
+    }
+}
+
 fn build_branch(
     problem: &AvoidanceProblem,
     proof: &DualProof,
@@ -208,8 +227,8 @@ fn build_branch(
     gap_m: f64,
 ) -> Branch {
     let exact = proof.multipliers(fired);
-    let short = round_multipliers(&exact);
-    let holds = DualProof::new(problem, short.clone()).excess(problem, first, fired, gap_m)
+    let rounded = round_multipliers(&exact);
+    let holds = DualProof::new(problem, rounded.clone()).excess(problem, first, fired, gap_m)
         > ROUNDING_MARGIN;
     let Multipliers {
         front,
@@ -217,53 +236,59 @@ fn build_branch(
         rear,
         speed,
         fired,
-    } = if holds { short } else { exact };
-    let rows = |list: Vec<WeightedInstant>| {
-        list.into_iter()
-            .map(|(step, value)| (step_count(step), value))
-            .collect()
-    };
+    } = if holds { rounded } else { exact };
     Branch {
         first: step_count(first),
         last: step_count(last),
-        front: rows(front),
-        between: if between.iter().all(Vec::is_empty) {
-            Vec::new()
-        } else {
-            between.into_iter().map(rows).collect()
-        },
-        rear: rows(rear),
-        speed: if speed.iter().all(Vec::is_empty) {
-            Vec::new()
-        } else {
-            speed.into_iter().map(rows).collect()
-        },
+        front: branch_rows(front),
+        between: branch_row_lists(between),
+        rear: branch_rows(rear),
+        speed: branch_row_lists(speed),
         unfired: Vec::new(),
         fired,
     }
 }
 
+/// Converts multipliers to rows of a branch: step and value.
+fn branch_rows(list: Vec<WeightedInstant>) -> Vec<(u32, f64)> {
+    list.into_iter()
+        .map(|(step, value)| (step_count(step), value))
+        .collect()
+}
+
+/// Converts one list per ego; none if all are empty.
+fn branch_row_lists(lists: Vec<Vec<WeightedInstant>>) -> Vec<Vec<(u32, f64)>> {
+    if lists.iter().all(Vec::is_empty) {
+        return Vec::new();
+    }
+    lists.into_iter().map(branch_rows).collect()
+}
+
 /// Rounds multipliers to 20 bits and drops negligible ones.
 fn round_multipliers(multipliers: &Multipliers) -> Multipliers {
-    let mut short = multipliers.clone();
-    let lists = [&mut short.front, &mut short.rear]
+    let mut rounded = multipliers.clone();
+    let lists = [&mut rounded.front, &mut rounded.rear]
         .into_iter()
-        .chain(&mut short.between)
-        .chain(&mut short.speed);
-    const UNIT: f64 = (1_u64 << 20) as f64;
-    let round = |value: f64| (value * UNIT).round() / UNIT;
+        .chain(&mut rounded.between)
+        .chain(&mut rounded.speed);
     for list in lists {
         for (_, value) in list.iter_mut() {
-            *value = round(*value);
+            *value = round_to_20_bits(*value);
         }
         list.retain(|(_, value)| *value > 0.0);
     }
-    short.fired = round(short.fired);
-    short
+    rounded.fired = round_to_20_bits(rounded.fired);
+    rounded
 }
 
-fn run_length_encode<T: Copy + PartialEq>(each: &[T]) -> Vec<ConstantPiece<T>> {
-    each.chunk_by(|a, b| a == b)
+fn round_to_20_bits(value: f64) -> f64 {
+    const UNIT: f64 = (1_u64 << 20) as f64;
+    (value * UNIT).round() / UNIT
+}
+
+fn run_length_encode<T: Copy + PartialEq>(values: &[T]) -> Vec<ConstantPiece<T>> {
+    values
+        .chunk_by(|a, b| a == b)
         .filter_map(|run| Some(ConstantPiece(step_count(run.len()), *run.first()?)))
         .collect()
 }
@@ -296,15 +321,21 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &Avoidan
         // A proof covers any follower and any delay of the vehicles under test.
         None => problem.proof_caveat.is_none(),
         Some(profile) => {
-            let waits = |(&dead_steps, witness): (&usize, &Vec<ConstantPiece<f64>>)| {
-                let held = witness.iter().flat_map(|ConstantPiece(steps, value)| {
-                    std::iter::repeat_n(*value, *steps as usize)
-                });
-                held.take(dead_steps).all(|value| value == 0.0)
-            };
             problem.escape_caveat.is_none()
                 && problem.proof_caveat.is_none()
-                && problem.dead_steps.iter().zip(profile).all(waits)
+                && problem
+                    .dead_steps
+                    .iter()
+                    .zip(profile)
+                    .all(|(&dead_steps, witness)| begins_with_coasting(witness, dead_steps))
         }
     }
+}
+
+fn begins_with_coasting(witness: &[ConstantPiece<f64>], steps: usize) -> bool {
+    witness
+        .iter()
+        .flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize))
+        .take(steps)
+        .all(|value| value == 0.0)
 }

@@ -52,29 +52,23 @@ impl VariableBounds {
             .then_some(inside)
     }
 
-    /// Returns the perturbations and the perturbed points: each variable moves towards the middle of its bounds.
-    pub(super) fn perturb(&self, at: &[f64], nudge: f64) -> (Vec<f64>, Vec<Vec<f64>>) {
+    /// Returns the perturbation of each variable: it moves towards the middle of its bounds.
+    fn perturbations(&self, point: &[f64], nudge: f64) -> Vec<f64> {
         let middle = 0.5 * (self.low + self.high);
-        let one = |(index, &now): (usize, &f64)| {
-            let by = if now > middle { -nudge } else { nudge };
-            let changed = at
-                .iter()
-                .enumerate()
-                .map(|(other, &value)| if other == index { value + by } else { value });
-            (by, changed.collect())
-        };
-        at.iter().enumerate().map(one).unzip()
+        point
+            .iter()
+            .map(|&value| if value > middle { -nudge } else { nudge })
+            .collect()
     }
 }
 
 /// Returns the slopes of values relative to the value at a point; 0 for values that are not finite.
 pub(super) fn finite_difference_gradient(value: f64, nudged: &[f64], by: &[f64]) -> Vec<f64> {
-    let slope =
-        |(nudged, by): (&f64, &f64)| Some((nudged - value) / by).filter(|slope| slope.is_finite());
     nudged
         .iter()
         .zip(by)
-        .map(|pair| slope(pair).unwrap_or(0.0))
+        .map(|(nudged, by)| (nudged - value) / by)
+        .map(|slope| if slope.is_finite() { slope } else { 0.0 })
         .collect()
 }
 
@@ -98,16 +92,16 @@ enum PendingRequest {
 
 impl TrustRegionDescent {
     pub(crate) fn new(
-        limits: VariableBounds,
-        pace: StepSchedule,
-        at: Vec<f64>,
+        bounds: VariableBounds,
+        schedule: StepSchedule,
+        point: Vec<f64>,
         value: f64,
     ) -> Self {
         Self {
-            bounds: limits,
-            schedule: pace,
-            trust_region: pace.trust_region[0],
-            point: at,
+            bounds,
+            schedule,
+            trust_region: schedule.trust_region[0],
+            point,
             value,
             gradient: None,
             pending: PendingRequest::Nothing,
@@ -125,9 +119,18 @@ impl TrustRegionDescent {
     /// Returns the points to evaluate next; empty at the end.
     pub(crate) fn ask(&mut self) -> Vec<Vec<f64>> {
         let Some(slope) = &self.gradient else {
-            let (by, nudged) = self
+            let by = self
                 .bounds
-                .perturb(&self.point, self.schedule.finite_difference);
+                .perturbations(&self.point, self.schedule.finite_difference);
+            let nudged = by
+                .iter()
+                .enumerate()
+                .map(|(index, by)| {
+                    let mut changed = self.point.clone();
+                    changed[index] += by;
+                    changed
+                })
+                .collect();
             self.pending = PendingRequest::Gradient(by);
             return nudged;
         };
@@ -181,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kinked_bowl_is_descended_to_its_lowest_point_within_the_limits() {
+    fn a_descent_finds_the_minimum_of_a_kinked_bowl_within_its_bounds() {
         // The minimum is at (0.2, 0.9); the third variable has no effect.
         let value = |x: &[f64]| (x[0] - 0.2).abs() + 2.0 * (x[1] - 1.5).abs();
         let limits = VariableBounds {
@@ -196,9 +199,9 @@ mod tests {
         let first = value(&start);
         let mut descent = TrustRegionDescent::new(limits, pace, start, first);
         for _ in 0..200 {
-            let asked = descent.ask();
-            assert!(asked.iter().flatten().all(|x| (0.0..=0.9).contains(x)));
-            descent.tell(&asked.iter().map(|x| value(x)).collect::<Vec<_>>());
+            let proposals = descent.ask();
+            assert!(proposals.iter().flatten().all(|x| (0.0..=0.9).contains(x)));
+            descent.tell(&proposals.iter().map(|x| value(x)).collect::<Vec<_>>());
         }
         assert!(descent.ask().is_empty(), "it ends");
         assert!(
@@ -223,8 +226,8 @@ mod tests {
         for strange in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut descent = TrustRegionDescent::new(limits, pace, vec![0.5, 0.5], strange);
             descent.tell(&[]);
-            let asked = descent.ask();
-            descent.tell(&vec![strange; asked.len()]);
+            let proposals = descent.ask();
+            descent.tell(&vec![strange; proposals.len()]);
             assert!(descent.ask().is_empty());
         }
     }

@@ -23,11 +23,12 @@ pub enum EmergencyBrake {
 impl EmergencyBrake {
     /// Reads a replay, from vehicle `behind` on.
     pub(super) fn from_trace(scenario: &Scenario, behind: usize, trace: &Trace) -> Self {
-        let (mut first, mut is_known) = (None::<(f64, usize)>, true);
+        let mut first = None::<(f64, usize)>;
+        let mut all_known = true;
         for (vehicle, spec) in scenario.vehicles().iter().enumerate().skip(behind) {
             match Threshold::from_driver(&spec.driver) {
                 Threshold::None => {}
-                Threshold::Unknown => is_known = false,
+                Threshold::Unknown => all_known = false,
                 Threshold::TimeToCollision(ttc_s) => {
                     let fires =
                         firing_time_s(trace, vehicle, ttc_s).map(|time_s| (time_s, vehicle));
@@ -40,7 +41,7 @@ impl EmergencyBrake {
         }
         match first {
             Some((time_s, vehicle)) => Self::Fires { vehicle, time_s },
-            None if is_known => Self::NeverFires,
+            None if all_known => Self::NeverFires,
             None => Self::Unknown,
         }
     }
@@ -74,15 +75,18 @@ impl Threshold {
 fn firing_time_s(trace: &Trace, vehicle: usize, ttc_s: f64) -> Option<f64> {
     let decisions = trace.len().saturating_sub(1);
     trace.pairs(vehicle).iter().find_map(|pair| {
-        let fires = |&(sample, gap_m): &(usize, f64)| {
-            let speed_mps = |of: &[f64]| of.get(sample).copied().unwrap_or(f64::NAN);
-            gap_m - ttc_s * (speed_mps(&pair.rear.speed_mps) - speed_mps(&pair.front.speed_mps))
-                < 0.0
-        };
-        let (sample, _) = pair
+        let first = pair
             .gaps_m()
             .take_while(|(sample, _)| *sample < decisions)
-            .find(fires)?;
-        trace.time_s.get(sample).copied()
+            .find(|&(sample, gap_m)| {
+                let rear_mps = sample_or_nan(&pair.rear.speed_mps, sample);
+                let front_mps = sample_or_nan(&pair.front.speed_mps, sample);
+                gap_m - ttc_s * (rear_mps - front_mps) < 0.0
+            })?;
+        trace.time_s.get(first.0).copied()
     })
+}
+
+fn sample_or_nan(values: &[f64], sample: usize) -> f64 {
+    values.get(sample).copied().unwrap_or(f64::NAN)
 }

@@ -15,28 +15,37 @@ const SHORTFALL_COST: f64 = 1e3;
 
 /// Functions that are linear between knots, sampled at the middle of each cell.
 pub(super) struct HatFunctions {
-    /// Index of the knot left of each cell, and the weight of the right one.
-    shares: Vec<(usize, f64)>,
+    /// Position of each cell between two knots.
+    positions: Vec<KnotPosition>,
     knots: usize,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct KnotPosition {
+    /// Index of the knot to the left.
+    left: usize,
+    /// Weight of the knot to the right.
+    right_weight: f64,
 }
 
 impl HatFunctions {
     /// Creates equidistant knots until `until_s`, shifted by `phase` of their distance, and a few after it.
-    pub(super) fn new(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
-        let knots_s = knot_times_s(bench, until_s, phase);
-        let share = |cell: usize| {
-            let middle_s = (cell as f64 + 0.5) * bench.cell_s();
-            share_of_right_knot(&knots_s, middle_s)
-        };
+    pub(super) fn new(simulator: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Self {
+        let knots_s = knot_times_s(simulator, until_s, phase);
+        let positions = (0..simulator.cell_count()).map(|cell| {
+            let middle_s = (cell as f64 + 0.5) * simulator.cell_s();
+            KnotPosition::new(&knots_s, middle_s)
+        });
         Self {
-            shares: (0..bench.cell_count()).map(share).collect(),
+            positions: positions.collect(),
             knots: knots_s.len(),
         }
     }
 
     fn terms(&self, cell: usize) -> [(usize, f64); 2] {
-        let (left, share) = self.shares.get(cell).copied().unwrap_or((0, 0.0));
-        [(left, 1.0 - share), (left + 1, share)]
+        let KnotPosition { left, right_weight } =
+            self.positions.get(cell).copied().unwrap_or_default();
+        [(left, 1.0 - right_weight), (left + 1, right_weight)]
     }
 
     /// Returns the profile with one knot changed, within the limits of the acceleration.
@@ -47,29 +56,29 @@ impl HatFunctions {
         by_mps2: f64,
         most_mps2: f64,
     ) -> Vec<f64> {
-        let held = |(cell, held): (usize, &f64)| {
+        let mut changed = cells_mps2.to_vec();
+        for (cell, accel_mps2) in changed.iter_mut().enumerate() {
             let weight: f64 = self
                 .terms(cell)
                 .iter()
                 .filter(|(index, _)| *index == knot)
                 .map(|(_, weight)| weight)
                 .sum();
-            if weight == 0.0 {
-                *held
-            } else {
-                (held + weight * by_mps2).clamp(-most_mps2, 0.0)
+            if weight != 0.0 {
+                *accel_mps2 = (*accel_mps2 + weight * by_mps2).clamp(-most_mps2, 0.0);
             }
-        };
-        cells_mps2.iter().enumerate().map(held).collect()
+        }
+        changed
     }
 
     /// Returns the weighted mean of the profile around each knot, in m/s².
     pub(super) fn means_mps2(&self, cells_mps2: &[f64]) -> impl Iterator<Item = f64> {
         let mut sums = vec![(0.0, 0.0); self.knots];
-        for (cell, held) in cells_mps2.iter().enumerate() {
+        for (cell, accel_mps2) in cells_mps2.iter().enumerate() {
             for (knot, weight) in self.terms(cell) {
                 if let Some((sum, weights)) = sums.get_mut(knot) {
-                    (*sum, *weights) = (*sum + weight * held, *weights + weight);
+                    *sum += weight * accel_mps2;
+                    *weights += weight;
                 }
             }
         }
@@ -78,11 +87,11 @@ impl HatFunctions {
     }
 }
 
-fn knot_times_s(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Vec<f64> {
+fn knot_times_s(simulator: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Vec<f64> {
     let [early_count, late_count] = KNOT_COUNTS;
-    let all_s = bench.cell_count() as f64 * bench.cell_s();
+    let all_s = simulator.cell_count() as f64 * simulator.cell_s();
     let until_s = until_s.min(all_s);
-    let apart_s = (until_s / early_count as f64).max(bench.cell_s());
+    let apart_s = (until_s / early_count as f64).max(simulator.cell_s());
     let early_s = (0..=early_count).map(|knot| (knot as f64 + phase) * apart_s);
     let mut knots_s: Vec<f64> = std::iter::once(0.0)
         .chain(early_s)
@@ -96,16 +105,16 @@ fn knot_times_s(bench: &ProfileSimulator<'_>, until_s: f64, phase: f64) -> Vec<f
     knots_s
 }
 
-/// Returns the knot left of a time, and the weight of the right one there.
-fn share_of_right_knot(knots_s: &[f64], time_s: f64) -> (usize, f64) {
-    let right = knots_s.partition_point(|knot_s| *knot_s <= time_s);
-    let left = right.clamp(1, knots_s.len().max(2) - 1) - 1;
-    match knots_s.get(left..left + 2) {
-        Some(&[left_s, right_s]) => {
-            let share = (time_s - left_s) / (right_s - left_s);
-            (left, share.clamp(0.0, 1.0))
-        }
-        _ => (left, 0.0),
+impl KnotPosition {
+    /// Returns the position of a time, by linear interpolation.
+    fn new(knots_s: &[f64], time_s: f64) -> Self {
+        let right = knots_s.partition_point(|knot_s| *knot_s <= time_s);
+        let left = right.clamp(1, knots_s.len().max(2) - 1) - 1;
+        let right_weight = match knots_s.get(left..left + 2) {
+            Some(&[left_s, right_s]) => ((time_s - left_s) / (right_s - left_s)).clamp(0.0, 1.0),
+            _ => 0.0,
+        };
+        Self { left, right_weight }
     }
 }
 
@@ -165,16 +174,16 @@ impl EnvelopeStep<'_> {
     /// Returns the profile after the step; `None` if the solver fails.
     pub(super) fn solve(
         &self,
-        bench: &mut ProfileSimulator<'_>,
+        simulator: &mut ProfileSimulator<'_>,
         goal: StepGoal,
     ) -> Option<ProposedProfile> {
-        bench.programs += 1;
+        simulator.programs += 1;
         let variables = Variables::new(self.hats.knots);
         let mut program = QuadraticProgram::new(variables.count());
-        self.add_envelope_rows(bench, &mut program);
+        self.add_envelope_rows(simulator, &mut program);
         program.add_inequality(&[(variables.shortfall, -1.0)], 0.0);
         program.add_inequality(&[(variables.peak, -1.0)], 0.0);
-        self.add_goal(bench, &mut program, variables, goal);
+        self.add_goal(simulator, &mut program, variables, goal);
         let QuadraticSolution::Optimal { point, .. } = program.solve() else {
             return None;
         };
@@ -182,7 +191,7 @@ impl EnvelopeStep<'_> {
             return None;
         }
         Some(ProposedProfile {
-            cells_mps2: self.apply_clamped(bench, &point),
+            cells_mps2: self.apply_clamped(simulator, &point),
             predicted_margin_m: match goal {
                 StepGoal::Margin => self.margin_m + self.linear_change_m(&point),
                 StepGoal::Cost { margin_m, .. } => margin_m,
@@ -201,7 +210,7 @@ impl EnvelopeStep<'_> {
 
     fn add_goal(
         &self,
-        bench: &ProfileSimulator<'_>,
+        simulator: &ProfileSimulator<'_>,
         program: &mut QuadraticProgram,
         variables: Variables,
         goal: StepGoal,
@@ -221,32 +230,32 @@ impl EnvelopeStep<'_> {
                 falls.push((variables.shortfall, -1.0));
                 program.add_inequality(&falls, margin_m - self.margin_m);
                 program.add_linear_cost(variables.shortfall, SHORTFALL_COST);
-                self.add_cost(bench, program, objective, variables.peak);
+                self.add_cost(simulator, program, objective, variables.peak);
             }
         }
     }
 
     /// Adds the limits of acceleration and jerk, where the trust region reaches them.
-    fn add_envelope_rows(&self, bench: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
+    fn add_envelope_rows(&self, simulator: &ProfileSimulator<'_>, program: &mut QuadraticProgram) {
         let region_mps2 = self.trust_region_mps2;
         for knot in 0..self.hats.knots {
             program.add_inequality(&[(knot, 1.0)], region_mps2);
             program.add_inequality(&[(knot, -1.0)], region_mps2);
         }
-        let max_brake_mps2 = bench.envelope.max_brake_mps2;
+        let max_brake_mps2 = simulator.envelope.max_brake_mps2;
         let mut last_mps2 = 0.0;
         let mut last_terms = [(0, 0.0); 2];
-        for (cell, &held_mps2) in self.profile_mps2.iter().enumerate() {
+        for (cell, &accel_mps2) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
-            if held_mps2 + region_mps2 > 0.0 {
-                program.add_inequality(&terms, -held_mps2);
+            if accel_mps2 + region_mps2 > 0.0 {
+                program.add_inequality(&terms, -accel_mps2);
             }
-            if held_mps2 - region_mps2 < -max_brake_mps2 {
-                program.add_inequality(&negative(&terms), max_brake_mps2 + held_mps2);
+            if accel_mps2 - region_mps2 < -max_brake_mps2 {
+                program.add_inequality(&negative(&terms), max_brake_mps2 + accel_mps2);
             }
             let change = difference(terms, last_terms);
-            self.add_jerk_rows(bench, program, &change, held_mps2 - last_mps2);
-            last_mps2 = held_mps2;
+            self.add_jerk_rows(simulator, program, &change, accel_mps2 - last_mps2);
+            last_mps2 = accel_mps2;
             last_terms = terms;
         }
     }
@@ -254,12 +263,12 @@ impl EnvelopeStep<'_> {
     /// Limits the jerk between two cells, whose accelerations differ by `jump_mps2` now and by `change` in a step.
     fn add_jerk_rows(
         &self,
-        bench: &ProfileSimulator<'_>,
+        simulator: &ProfileSimulator<'_>,
         program: &mut QuadraticProgram,
         change: &[(usize, f64)],
         jump_mps2: f64,
     ) {
-        let max_jump_mps2 = bench.envelope.jerk_mps3 * bench.cell_s();
+        let max_jump_mps2 = simulator.envelope.jerk_mps3 * simulator.cell_s();
         let weights: f64 = change.iter().map(|(_, weight)| weight.abs()).sum();
         let reach_mps2 = self.trust_region_mps2 * weights;
         if jump_mps2 + reach_mps2 > max_jump_mps2 {
@@ -272,51 +281,52 @@ impl EnvelopeStep<'_> {
 
     fn add_cost(
         &self,
-        bench: &ProfileSimulator<'_>,
+        simulator: &ProfileSimulator<'_>,
         program: &mut QuadraticProgram,
-        aim: AttackObjective,
+        objective: AttackObjective,
         peak: usize,
     ) {
         // Selects a mild one among profiles with the least peak.
-        let weight = if aim == AttackObjective::LeastPeak {
+        let weight = if objective == AttackObjective::LeastPeak {
             1e-4
         } else {
             1.0
-        } * bench.cell_s();
-        for (cell, &held) in self.profile_mps2.iter().enumerate() {
+        } * simulator.cell_s();
+        for (cell, &accel_mps2) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
             program.add_squared_cost(&terms, weight);
             for (knot, share) in terms {
-                program.add_linear_cost(knot, 2.0 * weight * held * share);
+                program.add_linear_cost(knot, 2.0 * weight * accel_mps2 * share);
             }
-            if aim == AttackObjective::LeastPeak {
+            if objective == AttackObjective::LeastPeak {
                 let [(left, a), (right, b)] = terms;
-                program.add_inequality(&[(left, -a), (right, -b), (peak, -1.0)], held);
+                program.add_inequality(&[(left, -a), (right, -b), (peak, -1.0)], accel_mps2);
             }
         }
-        if aim == AttackObjective::LeastPeak {
+        if objective == AttackObjective::LeastPeak {
             program.add_linear_cost(peak, 1.0);
         }
     }
 
     /// Returns the changed profile, clamped to the envelope because of the solver's tolerance.
-    fn apply_clamped(&self, bench: &ProfileSimulator<'_>, change: &[f64]) -> Vec<f64> {
-        let jump = bench.envelope.jerk_mps3 * bench.cell_s();
+    fn apply_clamped(&self, simulator: &ProfileSimulator<'_>, change: &[f64]) -> Vec<f64> {
+        let jump = simulator.envelope.jerk_mps3 * simulator.cell_s();
         let mut before = 0.0_f64;
-        let held = |(cell, held): (usize, &f64)| {
+        let mut changed = self.profile_mps2.to_vec();
+        for (cell, accel_mps2) in changed.iter_mut().enumerate() {
             let by: f64 = self
                 .hats
                 .terms(cell)
                 .iter()
                 .filter_map(|&(knot, w)| Some(w * change.get(knot)?))
                 .sum();
-            let wanted = (held + by).clamp(-bench.envelope.max_brake_mps2, 0.0);
+            let wanted = (*accel_mps2 + by).clamp(-simulator.envelope.max_brake_mps2, 0.0);
             // Removes the solver's residue of a zero.
             let wanted = if wanted > -1e-6 { 0.0 } else { wanted };
             before = wanted.clamp(before - jump, before + jump);
-            before
-        };
-        self.profile_mps2.iter().enumerate().map(held).collect()
+            *accel_mps2 = before;
+        }
+        changed
     }
 }
 
@@ -331,7 +341,7 @@ fn negative(terms: &[(usize, f64)]) -> Vec<(usize, f64)> {
 fn difference(terms: [(usize, f64); 2], subtracted: [(usize, f64); 2]) -> Vec<(usize, f64)> {
     let mut difference = Vec::from(terms);
     for (knot, weight) in subtracted {
-        match difference.iter_mut().find(|(other, _)| *other == knot) {
+        match difference.iter_mut().find(|(index, _)| *index == knot) {
             Some((_, sum)) => *sum -= weight,
             None => difference.push((knot, -weight)),
         }

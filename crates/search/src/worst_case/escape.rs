@@ -60,12 +60,12 @@ impl Escape {
     pub(super) fn replay(
         scenario: &Scenario,
         problem: &AvoidanceProblem,
-        found: &ModelEscape,
+        escape: &ModelEscape,
     ) -> Option<Self> {
         Self::from_accelerations(
             scenario,
             1,
-            step_accelerations_mps2(problem, found),
+            step_accelerations_mps2(problem, escape),
             FoundBy::Programs,
         )
     }
@@ -80,17 +80,7 @@ impl Escape {
         let behind = first + acceleration_mps2.len();
         let acceleration_mps2: Vec<Vec<f64>> = (first..)
             .zip(acceleration_mps2)
-            .map(|(index, each)| {
-                let brake_mps2 = scenario.usable_brake_mps2(index);
-                let accel_mps2 = scenario
-                    .vehicles()
-                    .get(index)
-                    .map_or(0.0, |vehicle| vehicle.max_accel_mps2());
-                // Rounding up must not exceed full braking.
-                each.into_iter()
-                    .map(|held| round_acceleration(held).max(-brake_mps2).min(accel_mps2))
-                    .collect()
-            })
+            .map(|(index, steps_mps2)| round_accelerations(scenario, index, steps_mps2))
             .collect();
         let scripted = with_scripts(scenario, first, &acceleration_mps2, found_by).ok()?;
         let run = Run::new(&scripted, scripted_run_options()).ok()?;
@@ -137,6 +127,23 @@ impl Escape {
     }
 }
 
+/// Rounds the accelerations of a vehicle. Rounding up must not exceed full braking.
+fn round_accelerations(scenario: &Scenario, vehicle: usize, steps_mps2: Vec<f64>) -> Vec<f64> {
+    let brake_mps2 = scenario.usable_brake_mps2(vehicle);
+    let accel_mps2 = scenario
+        .vehicles()
+        .get(vehicle)
+        .map_or(0.0, |vehicle| vehicle.max_accel_mps2());
+    steps_mps2
+        .into_iter()
+        .map(|step_mps2| {
+            round_acceleration(step_mps2)
+                .max(-brake_mps2)
+                .min(accel_mps2)
+        })
+        .collect()
+}
+
 /// Rounds to 1e-6 m/s², as a solver's last digits differ between machines; the replay uses the rounded values.
 fn round_acceleration(acceleration_mps2: f64) -> f64 {
     const UNIT: f64 = 1e6;
@@ -150,25 +157,25 @@ pub(super) fn scripted_run_options() -> RunOptions {
 
 pub(super) fn step_accelerations_mps2(
     problem: &AvoidanceProblem,
-    found: &ModelEscape,
+    escape: &ModelEscape,
 ) -> Vec<Vec<f64>> {
-    found
+    escape
         .acceleration_mps2
         .iter()
-        .map(|cells| expand_cells(found, problem.steps, cells))
+        .map(|cells| expand_cells(escape, problem.steps, cells))
         .collect()
 }
 
-fn expand_cells(found: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {
-    let mut each = Vec::with_capacity(steps);
-    for (pair, &held) in found.grid.steps.windows(2).zip(cells) {
+fn expand_cells(escape: &ModelEscape, steps: usize, cells: &[f64]) -> Vec<f64> {
+    let mut steps_mps2 = Vec::with_capacity(steps);
+    for (pair, &cell_mps2) in escape.grid.steps.windows(2).zip(cells) {
         let length = pair
             .last()
             .zip(pair.first())
             .map_or(0, |(to, from)| to - from);
-        each.extend(std::iter::repeat_n(held, length));
+        steps_mps2.extend(std::iter::repeat_n(cell_mps2, length));
     }
-    each
+    steps_mps2
 }
 
 fn with_scripts(
@@ -185,8 +192,8 @@ fn with_scripts(
             scenario.spec().name,
             found_by.description()
         );
-        for (vehicle, each) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
-            set_script(vehicle, script_pieces(each, step_s));
+        for (vehicle, steps_mps2) in spec.vehicles.iter_mut().skip(first).zip(acceleration_mps2) {
+            set_script(vehicle, script_pieces(steps_mps2, step_s));
         }
     })
 }
@@ -197,13 +204,16 @@ pub(super) fn set_script(vehicle: &mut VehicleSpec, pieces: PiecewiseAcceleratio
     (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
 }
 
-pub(super) fn script_pieces(each_mps2: &[f64], step_s: f64) -> PiecewiseAcceleration {
-    let (mut from_s, mut accel_mps2): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
-    for (step, &held) in each_mps2.iter().enumerate() {
-        if accel_mps2.last() != Some(&held) {
-            from_s.push(step as f64 * step_s);
-            accel_mps2.push(held);
+pub(super) fn script_pieces(steps_mps2: &[f64], step_s: f64) -> PiecewiseAcceleration {
+    let mut pieces = PiecewiseAcceleration {
+        from_s: Vec::new(),
+        accel_mps2: Vec::new(),
+    };
+    for (step, &step_mps2) in steps_mps2.iter().enumerate() {
+        if pieces.accel_mps2.last() != Some(&step_mps2) {
+            pieces.from_s.push(step as f64 * step_s);
+            pieces.accel_mps2.push(step_mps2);
         }
     }
-    PiecewiseAcceleration { from_s, accel_mps2 }
+    pieces
 }

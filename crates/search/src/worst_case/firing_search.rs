@@ -92,16 +92,17 @@ impl<'a> FiringSearch<'a> {
 
     /// Returns the unsolved firing with the highest bound above `floor_m`; of equal neighbours the middle one.
     fn most_promising(&self, floor_m: f64) -> Option<usize> {
-        let open = || {
-            self.bounds_m
-                .iter()
-                .enumerate()
-                .filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m)
-        };
-        let highest_m = open()
+        let open = self
+            .bounds_m
+            .iter()
+            .enumerate()
+            .filter(|(firing, bound)| !self.solved[*firing] && **bound > floor_m);
+        let highest_m = open
+            .clone()
             .map(|(_, bound)| *bound)
             .fold(f64::NEG_INFINITY, f64::max);
-        let first = open().find(|(_, bound)| **bound >= highest_m)?.0;
+        let mut highest = open.filter(|(_, bound)| **bound >= highest_m);
+        let first = highest.next()?.0;
         let alike = (first..self.bounds_m.len())
             .take_while(|&at| self.bounds_m[at] >= highest_m && !self.solved[at]);
         Some(first + alike.count() / 2)
@@ -137,17 +138,11 @@ impl<'a> FiringSearch<'a> {
     /// Drops the early firings that even a standing ego cannot cause, because the follower only approaches.
     fn cut_unreachable_firings(&mut self) {
         let stands_from = Multipliers::standstill_step(self.problem);
-        let empty = |firing: usize| {
-            let proof = DualProof::new(
-                self.problem,
-                Multipliers::for_standstill(self.problem, firing, 1),
-            );
-            proof.infimum(self.problem, firing, true) > ROUNDING_MARGIN
-        };
-        let (mut below, mut above) = (stands_from, self.problem.never_firing());
+        let mut below = stands_from;
+        let mut above = self.problem.never_firing();
         while below < above {
             let middle = usize::midpoint(below, above);
-            if empty(middle) {
+            if self.is_unreachable(middle) {
                 below = middle + 1
             } else {
                 above = middle
@@ -156,6 +151,13 @@ impl<'a> FiringSearch<'a> {
         for bound_m in self.bounds_m.iter_mut().take(below).skip(stands_from) {
             *bound_m = f64::NEG_INFINITY;
         }
+    }
+
+    /// Returns true if even an ego that brakes to standstill at once cannot cause a firing.
+    fn is_unreachable(&self, firing: usize) -> bool {
+        let multipliers = Multipliers::for_standstill(self.problem, firing, 1);
+        let proof = DualProof::new(self.problem, multipliers);
+        proof.infimum(self.problem, firing, true) > ROUNDING_MARGIN
     }
 
     fn cut(&mut self, multipliers: Multipliers) {

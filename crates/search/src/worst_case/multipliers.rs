@@ -44,14 +44,14 @@ impl Multipliers {
 
     /// Returns one set of multipliers for each initial gap, in which only the row of that gap has a multiplier.
     pub(super) fn for_initial_gaps(problem: &AvoidanceProblem) -> impl Iterator<Item = Self> {
-        let first = || vec![(0, 1.0)];
+        const AT_FIRST_INSTANT: WeightedInstant = (0, 1.0);
         let none = Self::zero(problem);
         let front = Self {
-            front: first(),
+            front: vec![AT_FIRST_INSTANT],
             ..none.clone()
         };
         let rear = problem.follower.as_ref().map(|_| Self {
-            rear: first(),
+            rear: vec![AT_FIRST_INSTANT],
             ..none.clone()
         });
         let between = (0..none.between.len()).map(move |pair| {
@@ -61,7 +61,7 @@ impl Multipliers {
                 .iter_mut()
                 .skip(pair)
                 .take(1)
-                .for_each(|list| *list = first());
+                .for_each(|list| list.push(AT_FIRST_INSTANT));
             multipliers
         });
         [Some(front), rear].into_iter().flatten().chain(between)
@@ -268,7 +268,9 @@ fn min_integral(
     step_s: f64,
     limits: [f64; 2],
 ) -> f64 {
-    let (mut slope, mut value, mut total) = (0.0, 0.0, 0.0);
+    let mut slope = 0.0;
+    let mut value = 0.0;
+    let mut total = 0.0;
     let mut at = usize::MAX;
     let mut kinks = kinks.iter().copied().peekable();
     loop {
@@ -300,8 +302,9 @@ fn min_integral(
 }
 
 /// Returns the integral of min(-b q, a q) for q linear between two values.
-fn min_integral_linear(one: f64, other: f64, over_s: f64, [brake, accel]: [f64; 2]) -> f64 {
-    let (high, low) = (one.max(other), one.min(other));
+fn min_integral_linear(first: f64, last: f64, over_s: f64, [brake, accel]: [f64; 2]) -> f64 {
+    let high = first.max(last);
+    let low = first.min(last);
     if low >= 0.0 {
         -brake * 0.5 * (high + low) * over_s
     } else if high <= 0.0 {

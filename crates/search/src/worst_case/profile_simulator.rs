@@ -124,14 +124,18 @@ impl<'a> ProfileSimulator<'a> {
     }
 }
 
+/// Returns the distance in which a vehicle would stop after an impact.
+fn impact_depth_m(impact_mps: f64) -> f64 {
+    impact_mps.powi(2) / (2.0 * IMPACT_DECELERATION_MPS2)
+}
+
 impl ProfileOutcome {
     /// Creates an outcome with the smallest gap, or minus v²/10 of an impact, so that the margin is smooth at a
     /// collision. A controller failure counts as an impact at the maximum speed.
     pub(super) fn from_simulated(simulated: &SimulationResult) -> Self {
-        let depth_m = |impact_mps: f64| impact_mps.powi(2) / (2.0 * IMPACT_DECELERATION_MPS2);
         let margin_m = match &simulated.outcome {
-            Outcome::ControllerFailed(_) => -depth_m(MAX_IMPACT_SPEED_MPS),
-            Outcome::Collision(contact) => -depth_m(contact.impact_speed_mps),
+            Outcome::ControllerFailed(_) => -impact_depth_m(MAX_IMPACT_SPEED_MPS),
+            Outcome::Collision(contact) => -impact_depth_m(contact.impact_speed_mps),
             Outcome::NoCollision => simulated
                 .vehicles
                 .iter()

@@ -87,24 +87,18 @@ pub(super) fn solve(problem: &AvoidanceProblem, grid: &Grid, firing: usize) -> P
     program
         .quadratic_program
         .add_linear_cost(GAP_VARIABLE, -1.0);
-    let (at, multipliers) = match program.quadratic_program.solve() {
-        QuadraticSolution::Optimal {
-            point: at,
-            multipliers,
-        } => (at, multipliers),
+    match program.quadratic_program.solve() {
+        QuadraticSolution::Optimal { point, multipliers } => ProgramOutcome::Profile {
+            gap_m: point.get(GAP_VARIABLE).copied().unwrap_or(f64::NAN),
+            acceleration_mps2: (0..problem.egos.len())
+                .map(|ego| program.accelerations(&point, ego))
+                .collect(),
+            multipliers: program.multipliers(&multipliers),
+        },
         QuadraticSolution::Infeasible(multipliers) => {
-            return ProgramOutcome::Infeasible(program.multipliers(&multipliers));
+            ProgramOutcome::Infeasible(program.multipliers(&multipliers))
         }
-        QuadraticSolution::SolverFailed(status) => return ProgramOutcome::SolverFailed(status),
-    };
-    let acceleration_mps2 = (0..problem.egos.len())
-        .map(|ego| program.accelerations(&at, ego))
-        .collect();
-    let gap_m = at.first().copied().unwrap_or(f64::NAN);
-    ProgramOutcome::Profile {
-        gap_m,
-        acceleration_mps2,
-        multipliers: program.multipliers(&multipliers),
+        QuadraticSolution::SolverFailed(status) => ProgramOutcome::SolverFailed(status),
     }
 }
 
@@ -128,9 +122,14 @@ impl<'a> EscapeProgram<'a> {
         }
     }
 
-    /// Returns the variable w of an ego at a grid instant after the first; d is the next one.
+    /// Returns the variable w of an ego at a grid instant after the first.
     fn speed_variable(&self, ego: usize, instant: usize) -> usize {
         1 + 2 * ((instant - 1) * self.problem.egos.len() + ego)
+    }
+
+    /// Returns the variable d of an ego at a grid instant after the first.
+    fn displacement_variable(&self, ego: usize, instant: usize) -> usize {
+        self.speed_variable(ego, instant) + 1
     }
 
     fn cell_s(&self, instant: usize) -> f64 {
@@ -196,42 +195,16 @@ impl<'a> EscapeProgram<'a> {
             &[(GAP_VARIABLE, 1.0)],
             problem.initial_gap_m(),
         );
-        let last = problem.egos.len() - 1;
-        let (leader_rests, follower_rests) = (
-            problem.leader_standstill_step(),
-            problem.follower_standstill_step(firing),
-        );
+        let leader_rests = problem.leader_standstill_step();
+        let follower_rests = problem.follower_standstill_step(firing);
         for instant in 1..=self.grid.cell_count() {
-            let step = self.grid.steps[instant];
-            let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
             // Behind a standing leader or ahead of a standing follower the last row suffices: egos do not reverse.
-            if step <= leader_rests || instant == self.grid.cell_count() {
-                let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(
-                    ConstraintRow::Front(step),
-                    &terms,
-                    problem.front_slack_m(step),
-                );
+            if self.grid.steps[instant] <= leader_rests || instant == self.grid.cell_count() {
+                self.add_front_row(instant);
             }
-            for ahead in 0..last {
-                let terms = [
-                    (d(self, ahead + 1), 1.0),
-                    (d(self, ahead), -1.0),
-                    (GAP_VARIABLE, 1.0),
-                ];
-                self.add_inequality(
-                    ConstraintRow::Pair(ahead, step),
-                    &terms,
-                    problem.pair_slack_m(ahead, step),
-                );
-            }
+            self.add_pair_rows(instant);
             if problem.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
-                let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(
-                    ConstraintRow::Rear(step),
-                    &terms,
-                    problem.rear_slack_m(firing, step),
-                );
+                self.add_rear_row(instant, firing);
             }
         }
         if let Some(follower) = &problem.follower
@@ -246,6 +219,45 @@ impl<'a> EscapeProgram<'a> {
         }
     }
 
+    /// Adds the gap between the leader and the first ego.
+    fn add_front_row(&mut self, instant: usize) {
+        let step = self.grid.steps[instant];
+        let d = self.displacement_variable(0, instant);
+        self.add_inequality(
+            ConstraintRow::Front(step),
+            &[(d, 1.0), (GAP_VARIABLE, 1.0)],
+            self.problem.front_slack_m(step),
+        );
+    }
+
+    /// Adds the gaps between the egos.
+    fn add_pair_rows(&mut self, instant: usize) {
+        let step = self.grid.steps[instant];
+        for ahead in 0..self.problem.egos.len() - 1 {
+            let terms = [
+                (self.displacement_variable(ahead + 1, instant), 1.0),
+                (self.displacement_variable(ahead, instant), -1.0),
+                (GAP_VARIABLE, 1.0),
+            ];
+            self.add_inequality(
+                ConstraintRow::Pair(ahead, step),
+                &terms,
+                self.problem.pair_slack_m(ahead, step),
+            );
+        }
+    }
+
+    /// Adds the gap between the last ego and the follower.
+    fn add_rear_row(&mut self, instant: usize, firing: usize) {
+        let step = self.grid.steps[instant];
+        let d = self.displacement_variable(self.problem.egos.len() - 1, instant);
+        self.add_inequality(
+            ConstraintRow::Rear(step),
+            &[(d, -1.0), (GAP_VARIABLE, 1.0)],
+            self.problem.rear_slack_m(firing, step),
+        );
+    }
+
     /// Returns d + θ w of the last ego at a step, which may lie inside a cell.
     fn guard_terms(&self, step: usize, theta_s: f64) -> Vec<(usize, f64)> {
         if step == 0 {
@@ -256,11 +268,11 @@ impl<'a> EscapeProgram<'a> {
         let into_s = (step - self.grid.steps[instant - 1]) as f64 * self.problem.step_s;
         let share = into_s / self.cell_s(instant);
         // w(s) = w + (w⁺ - w) s / H and d(s) = d + w s + (w⁺ - w) s² / 2 H.
-        let of_after = theta_s * share + 0.5 * into_s * share;
-        let mut terms = vec![(self.speed_variable(last, instant), of_after)];
+        let after = theta_s * share + 0.5 * into_s * share;
+        let mut terms = vec![(self.speed_variable(last, instant), after)];
         if instant > 1 {
             let before = self.speed_variable(last, instant - 1);
-            terms.extend([(before + 1, 1.0), (before, theta_s + into_s - of_after)]);
+            terms.extend([(before + 1, 1.0), (before, theta_s + into_s - after)]);
         }
         terms
     }
@@ -271,7 +283,7 @@ impl<'a> EscapeProgram<'a> {
         let lowest_mps = -self.problem.speed_slack_mps(ego);
         let mut before = 0.0;
         let cells = 1..=self.grid.cell_count();
-        let of_cell = cells.map(|instant| {
+        let accelerations_mps2 = cells.map(|instant| {
             if self.grid.steps[instant - 1] < self.problem.dead_steps[ego] {
                 return 0.0;
             }
@@ -286,12 +298,12 @@ impl<'a> EscapeProgram<'a> {
                 wanted
             };
             let cell_s = self.cell_s(instant);
-            let held =
+            let accel_mps2 =
                 ((wanted - before) / cell_s).clamp(-limits.max_brake_mps2, limits.max_accel_mps2);
-            before += held * cell_s;
-            held
+            before += accel_mps2 * cell_s;
+            accel_mps2
         });
-        of_cell.collect()
+        accelerations_mps2.collect()
     }
 
     fn multipliers(&self, values: &[f64]) -> Multipliers {

@@ -30,45 +30,54 @@ struct ScanSize {
     forms: &'static [BrakeForm],
 }
 
+impl ScanSize {
+    fn for_budget(budget: usize) -> Self {
+        match budget {
+            ..400 => Self {
+                depths: 4,
+                lengths: 5,
+                onsets: 2,
+                forms: &[BrakeForm::Pulse],
+            },
+            400..2000 => Self {
+                depths: 4,
+                lengths: 7,
+                onsets: 2,
+                forms: &[BrakeForm::Pulse, BrakeForm::Ramp],
+            },
+            2000.. => Self {
+                depths: 6,
+                lengths: 16,
+                onsets: 3,
+                forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall],
+            },
+        }
+    }
+}
+
 /// Returns pulses and ramps of several depths, lengths and onsets: 40, 112 or 864, depending on the budget.
-pub(super) fn scan(bench: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
+pub(super) fn scan(simulator: &ProfileSimulator<'_>, budget: usize) -> Vec<Pulse> {
     let ScanSize {
         depths,
         lengths,
         onsets,
         forms,
-    } = match budget {
-        ..400 => ScanSize {
-            depths: 4,
-            lengths: 5,
-            onsets: 2,
-            forms: &[BrakeForm::Pulse],
-        },
-        400..2000 => ScanSize {
-            depths: 4,
-            lengths: 7,
-            onsets: 2,
-            forms: &[BrakeForm::Pulse, BrakeForm::Ramp],
-        },
-        2000.. => ScanSize {
-            depths: 6,
-            lengths: 16,
-            onsets: 3,
-            forms: &[BrakeForm::Pulse, BrakeForm::Ramp, BrakeForm::Fall],
-        },
-    };
-    let (cells, most) = (bench.cell_count(), bench.envelope.max_brake_mps2);
+    } = ScanSize::for_budget(budget);
+    let cells = simulator.cell_count();
+    let spacing_mps2 = simulator.envelope.max_brake_mps2 / depths as f64;
     // From 0.4 s to the whole duration, on a logarithmic scale.
-    let shortest = (0.4 / bench.cell_s()).max(1.0);
+    let shortest = (0.4 / simulator.cell_s()).max(1.0);
     let longest = (cells as f64).max(shortest);
-    let length = |index: usize| {
-        (shortest * (longest / shortest).powf(index as f64 / (lengths - 1) as f64)).round() as usize
-    };
-    let spacing_mps2 = most / depths as f64;
+    let lengths: Vec<usize> = (0..lengths)
+        .map(|index| {
+            let exponent = index as f64 / (lengths - 1) as f64;
+            (shortest * (longest / shortest).powf(exponent)).round() as usize
+        })
+        .collect();
     let mut all = Vec::new();
     for &form in forms {
         for onset in (0..onsets).map(|index| index * cells / (4 * onsets)) {
-            for length in (0..lengths).map(length) {
+            for &length in &lengths {
                 for depth in 1..=depths {
                     all.push(Pulse {
                         form,
@@ -97,25 +106,32 @@ impl Pulse {
         Self { depth_mps2, ..self }
     }
 
-    pub(super) fn cells_mps2(&self, bench: &ProfileSimulator<'_>) -> Vec<f64> {
-        let most = bench.envelope.jerk_mps3 * bench.cell_s();
+    pub(super) fn cells_mps2(&self, simulator: &ProfileSimulator<'_>) -> Vec<f64> {
+        let most = simulator.envelope.jerk_mps3 * simulator.cell_s();
         let mut before = 0.0_f64;
-        let mut held = |cell: usize| {
-            let into = cell
-                .checked_sub(self.onset)
-                .filter(|into| *into < self.length);
-            let wanted = into.map_or(0.0, |into| {
-                let share = (into + 1) as f64 / self.length as f64;
-                -self.depth_mps2
-                    * match self.form {
-                        BrakeForm::Pulse => 1.0,
-                        BrakeForm::Ramp => share,
-                        BrakeForm::Fall => 1.0 - share,
-                    }
-            });
-            before = wanted.clamp(before - most, before + most);
-            before
-        };
-        (0..bench.cell_count()).map(&mut held).collect()
+        (0..simulator.cell_count())
+            .map(|cell| {
+                before = self
+                    .unlimited_mps2(cell)
+                    .clamp(before - most, before + most);
+                before
+            })
+            .collect()
+    }
+
+    /// Returns the acceleration in a cell without the jerk limit.
+    fn unlimited_mps2(&self, cell: usize) -> f64 {
+        let into = cell
+            .checked_sub(self.onset)
+            .filter(|into| *into < self.length);
+        into.map_or(0.0, |into| {
+            let share = (into + 1) as f64 / self.length as f64;
+            -self.depth_mps2
+                * match self.form {
+                    BrakeForm::Pulse => 1.0,
+                    BrakeForm::Ramp => share,
+                    BrakeForm::Fall => 1.0 - share,
+                }
+        })
     }
 }

@@ -19,18 +19,19 @@ pub(super) struct ScriptedLeader {
 impl ScriptedLeader {
     pub(super) fn new(scenario: &Scenario) -> Self {
         let acceleration_mps2 = script_acceleration_mps2(scenario);
-        let first = |of: fn(&VehicleSpec) -> f64| scenario.vehicles().first().map_or(0.0, of);
-        let length_m = first(VehicleSpec::length_m);
-        let (position_m, speed_mps) = (first(|v| v.position_m), first(|v| v.speed_mps));
+        let leader = scenario.vehicles().first();
+        let length_m = leader.map_or(0.0, VehicleSpec::length_m);
+        let position_m = leader.map_or(0.0, |leader| leader.position_m);
+        let speed_mps = leader.map_or(0.0, |leader| leader.speed_mps);
         let mut motion = Motion {
             position_m,
             speed_mps,
             acceleration_mps2: 0.0,
         };
         let mut rear_m = vec![motion.position_m - length_m];
-        for &held_mps2 in &acceleration_mps2 {
+        for &step_mps2 in &acceleration_mps2 {
             motion = Motion {
-                acceleration_mps2: held_mps2,
+                acceleration_mps2: step_mps2,
                 ..motion
             }
             .after(scenario.spec().step_s);
@@ -68,13 +69,14 @@ fn script_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
         speed_mps: leader.speed_mps,
         acceleration_mps2: 0.0,
     };
-    let of_step = |step: usize| {
-        let asked = profile.acceleration_mps2(
+    let mut accelerations_mps2 = Vec::with_capacity(scenario.steps());
+    for step in 0..scenario.steps() {
+        let command_mps2 = profile.acceleration_mps2(
             step as f64 * step_s,
             (step + 1) as f64 * step_s,
             motion.speed_mps,
         );
-        let acceleration_mps2 = asked
+        let acceleration_mps2 = command_mps2
             .max(-scenario.usable_brake_mps2(0))
             .min(leader.max_accel_mps2());
         motion = Motion {
@@ -82,17 +84,17 @@ fn script_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
             ..motion
         }
         .after(step_s);
-        acceleration_mps2
-    };
-    (0..scenario.steps()).map(of_step).collect()
+        accelerations_mps2.push(acceleration_mps2);
+    }
+    accelerations_mps2
 }
 
 /// Returns the acceleration of the scripted leader in each step, by simulation.
 fn simulated_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     let alone = scenario.edited(|spec| {
         spec.vehicles.truncate(2);
-        if let Some(other) = spec.vehicles.get_mut(1) {
-            *other = VehicleSpec::new(
+        if let Some(follower) = spec.vehicles.get_mut(1) {
+            *follower = VehicleSpec::new(
                 VehicleClass::Light,
                 -1e6,
                 0.0,

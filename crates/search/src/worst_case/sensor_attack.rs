@@ -90,8 +90,8 @@ impl SensorAttackResult {
     /// Returns the fault with the smallest share of its limit that causes a failure.
     #[must_use]
     pub fn mildest(&self, failure: SensorFailure) -> Option<&MildestFault> {
-        let found = self.kinds.iter().filter_map(|kind| kind.mildest(failure));
-        found.min_by(|a, b| a.share.total_cmp(&b.share))
+        let faults = self.kinds.iter().filter_map(|kind| kind.mildest(failure));
+        faults.min_by(|a, b| a.share.total_cmp(&b.share))
     }
 }
 
@@ -101,7 +101,7 @@ struct KindSearch {
     /// Objects of a ghost; one `None` for every other kind.
     ghosts: Vec<Option<GhostObject>>,
     /// Smallest size, with its object, that causes each failure.
-    found: [Option<(FaultSize, usize)>; 2],
+    smallest: [Option<(FaultSize, usize)>; 2],
     /// Number of sizes that were simulated.
     done: u32,
 }
@@ -179,14 +179,15 @@ impl KindSearch {
         Self {
             kind,
             ghosts,
-            found: [None; 2],
+            smallest: [None; 2],
             done: 0,
         }
     }
 
     /// Returns the faults of the sensors with a size of this kind.
     fn scale(&self, base: &SensorFaults, size: FaultSize, ghost: usize) -> SensorFaults {
-        let (mut faults, amount) = (base.clone(), self.kind.amount(size));
+        let mut faults = base.clone();
+        let amount = self.kind.amount(size);
         match self.ghosts[ghost] {
             Some(ghost) => {
                 faults.ghost = Some(GhostObject {
@@ -201,30 +202,30 @@ impl KindSearch {
 
     /// Returns the next sizes to simulate, each with every object; none once each failure is found or all are done.
     fn next_round(&self, skip: [bool; 2]) -> Vec<(FaultSize, usize)> {
-        let is_open = (0..2).any(|failure| !skip[failure] && self.found[failure].is_none());
+        let is_open = (0..2).any(|failure| !skip[failure] && self.smallest[failure].is_none());
         let last = if is_open {
             (self.done + ROUND).min(self.kind.count)
         } else {
             self.done
         };
-        let places = self.done + 1..=last;
-        places
-            .flat_map(|place| self.with_ghosts(FaultSize { place, part: 0 }))
+        let whole_steps = self.done + 1..=last;
+        whole_steps
+            .flat_map(|steps| self.with_ghosts(FaultSize { steps, part: 0 }))
             .collect()
     }
 
     /// Returns the sizes between each smallest size that fails and the one before.
     fn parts(&self) -> Vec<(FaultSize, usize)> {
-        let mut places: Vec<u32> = self
-            .found
+        let mut whole_steps: Vec<u32> = self
+            .smallest
             .iter()
             .flatten()
-            .map(|(size, _)| size.place - 1)
+            .map(|(size, _)| size.steps - 1)
             .collect();
-        places.dedup();
-        let parts = places
+        whole_steps.dedup();
+        let parts = whole_steps
             .into_iter()
-            .flat_map(|place| (1..PARTS).map(move |part| FaultSize { place, part }));
+            .flat_map(|steps| (1..PARTS).map(move |part| FaultSize { steps, part }));
         parts.flat_map(|size| self.with_ghosts(size)).collect()
     }
 
@@ -235,8 +236,8 @@ impl KindSearch {
     /// Records the failures of a simulated size.
     fn record(&mut self, size: FaultSize, ghost: usize, failed: [bool; 2], skip: [bool; 2]) {
         for failure in (0..2).filter(|&failure| failed[failure] && !skip[failure]) {
-            let smallest = &mut self.found[failure];
-            if smallest.is_none_or(|(known, _)| size < known) {
+            let smallest = &mut self.smallest[failure];
+            if smallest.is_none_or(|(smallest_size, _)| size < smallest_size) {
                 *smallest = Some((size, ghost));
             }
         }
@@ -244,23 +245,19 @@ impl KindSearch {
 
     fn result(&self, base: &SensorFaults) -> FaultKindResult {
         let kind = self.kind;
-        let [collision, unnecessary_braking] = self.found.map(|found| {
-            let (size, ghost) = found?;
-            let faults = self.scale(base, size, ghost);
-            let (share, amount) = (kind.share(size), kind.amount(size));
-            Some(MildestFault {
+        let [collision, unnecessary_braking] = self.smallest.map(|smallest| {
+            smallest.map(|(size, ghost)| MildestFault {
                 kind: kind.name,
-                share,
-                amount,
+                share: kind.share(size),
+                amount: kind.amount(size),
                 unit: kind.unit,
-                faults,
+                faults: self.scale(base, size, ghost),
             })
         });
-        let (name, limit, sizes) = (kind.name, kind.limit, kind.searched_sizes());
         FaultKindResult {
-            kind: name,
-            limit,
-            sizes,
+            kind: kind.name,
+            limit: kind.limit,
+            sizes: kind.searched_sizes(),
             collision,
             unnecessary_braking,
         }
@@ -276,7 +273,7 @@ impl FaultSearch<'_> {
             .collect();
         self.simulate_all(kinds, &rounds)?;
         for (kind, round) in kinds.iter_mut().zip(&rounds) {
-            kind.done = round.last().map_or(kind.done, |(size, _)| size.place);
+            kind.done = round.last().map_or(kind.done, |(size, _)| size.steps);
         }
         Ok(rounds.iter().any(|round| !round.is_empty()))
     }
@@ -317,13 +314,10 @@ impl FaultSearch<'_> {
 
     /// Simulates the scenario with each set of faults. Returns which failures happen.
     fn simulate(&mut self, faults: &[SensorFaults]) -> Result<Vec<[bool; 2]>, AttackError> {
-        let prepare = |faults: &SensorFaults| -> Result<Run, AttackError> {
-            let faulty = self
-                .scenario
-                .edited(|spec| spec.sensors.faults = faults.clone())?;
-            Ok(Run::new(&faulty, self.options.clone())?)
-        };
-        let runs = faults.iter().map(prepare).collect::<Result<Vec<_>, _>>()?;
+        let runs = faults
+            .iter()
+            .map(|faults| self.run_with(faults))
+            .collect::<Result<Vec<_>, _>>()?;
         let failed = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             self.failures(&result)
         });
@@ -335,16 +329,24 @@ impl FaultSearch<'_> {
         Ok(failed)
     }
 
+    fn run_with(&self, faults: &SensorFaults) -> Result<Run, AttackError> {
+        let faulty = self
+            .scenario
+            .edited(|spec| spec.sensors.faults = faults.clone())?;
+        Ok(Run::new(&faulty, self.options.clone())?)
+    }
+
+    /// Returns whether there is a collision, and whether a vehicle under test brakes unnecessarily.
     fn failures(&self, result: &SimulationResult) -> [bool; 2] {
-        let brakes = |vehicle: usize| {
-            let trace = result.trace.as_ref()?;
-            UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)
-        };
-        let tested = (0..self.scenario.vehicles().len())
-            .filter(|&vehicle| self.scenario.is_under_test(vehicle));
+        let mut brakings = (0..self.scenario.vehicles().len())
+            .filter(|&vehicle| self.scenario.is_under_test(vehicle))
+            .filter_map(|vehicle| {
+                let trace = result.trace.as_ref()?;
+                UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)
+            });
         [
             !result.outcome.is_safe(),
-            tested.filter_map(brakes).any(|braking| !braking.is_empty()),
+            brakings.any(|braking| !braking.is_empty()),
         ]
     }
 }

@@ -68,18 +68,18 @@ impl<'a> SensorAttackReport<'a> {
     }
 
     /// Returns the row of a kind of fault in the table.
-    fn row(&self, found: &FaultKindResult) -> String {
-        let kind = found.kind;
-        let limit = found.limit;
-        let sizes = &found.sizes;
+    fn row(&self, result: &FaultKindResult) -> String {
+        let kind = result.kind;
+        let limit = result.limit;
+        let sizes = &result.sizes;
         let range = format!("{} to {} {}", sizes.smallest, sizes.largest, sizes.unit);
         let collision = describe_size(
-            found.collision.as_ref(),
+            result.collision.as_ref(),
             self.result.collides_without_fault,
             sizes.count,
         );
         let braking = describe_size(
-            found.unnecessary_braking.as_ref(),
+            result.unnecessary_braking.as_ref(),
             self.result.brakes_unnecessarily_without_fault,
             sizes.count,
         );

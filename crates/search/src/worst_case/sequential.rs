@@ -11,7 +11,7 @@ use std::cmp::Ordering;
 use super::attack::{Attack, AttackError, AttackObjective};
 use super::descent::{TRUST_REGION_FACTORS, finite_difference_gradient};
 use super::envelope_step::{EnvelopeStep, HatFunctions, ProposedProfile, StepGoal};
-use super::profile_simulator::{ProfileOutcome, ProfileSimulator};
+use super::profile_simulator::ProfileSimulator;
 use super::pulses::{self, Pulse};
 
 const FINITE_DIFFERENCE_MPS2: f64 = 0.05;
@@ -45,36 +45,43 @@ struct Descent {
 
 /// Returns the best profile found with about `budget` simulations; `None` without a collision.
 pub(super) fn attack(
-    bench: &mut ProfileSimulator<'_>,
+    simulator: &mut ProfileSimulator<'_>,
     objective: AttackObjective,
     budget: usize,
 ) -> Result<Option<Attack>, AttackError> {
-    let mut search = AttackSearch { bench, objective };
+    let mut search = AttackSearch {
+        simulator,
+        objective,
+    };
     let mut best: Option<Descent> = None;
     let mut starts = search.find_starts(budget)?;
-    let left = budget.saturating_sub(search.bench.evaluations);
+    let left = budget.saturating_sub(search.simulator.evaluations);
     starts.truncate((left / SIMULATIONS_PER_START).max(1));
     let count = starts.len();
     for (index, start) in starts.into_iter().enumerate() {
         // Each descent gets an equal share of the remaining simulations.
-        let spent = search.bench.evaluations;
+        let spent = search.simulator.evaluations;
         let until = spent + budget.saturating_sub(spent) / (count - index);
-        let found = search.descend(start, until)?;
-        let is_better = |best: &Descent| search.is_better(&found.profile, &best.profile);
-        if found.profile.collides && best.as_ref().is_none_or(is_better) {
-            best = Some(found);
+        let descent = search.descend(start, until)?;
+        let is_best = best
+            .as_ref()
+            .is_none_or(|best| search.is_better(&descent.profile, &best.profile));
+        if descent.profile.collides && is_best {
+            best = Some(descent);
         }
     }
     let Some(best) = best else {
         return Ok(None);
     };
     let cells_mps2 = &best.profile.cells_mps2;
-    let report = search.bench.report(cells_mps2, best.predicted_margin_m)?;
+    let report = search
+        .simulator
+        .report(cells_mps2, best.predicted_margin_m)?;
     Ok(Some(report))
 }
 
 struct AttackSearch<'s, 'a> {
-    bench: &'s mut ProfileSimulator<'a>,
+    simulator: &'s mut ProfileSimulator<'a>,
     objective: AttackObjective,
 }
 
@@ -92,26 +99,29 @@ impl AttackSearch<'_, '_> {
         &mut self,
         all: Vec<Vec<f64>>,
     ) -> Result<Vec<SimulatedBraking>, AttackError> {
-        let trials = self.bench.simulate(&all)?;
-        let duration_s = self.bench.scenario.spec().duration_s;
-        let point = |(cells_mps2, trial): (Vec<f64>, ProfileOutcome)| SimulatedBraking {
-            cells_mps2,
-            margin_m: trial.margin_m,
-            collides: trial.collides(),
-            until_s: trial.end_time_s().unwrap_or(duration_s),
-        };
-        Ok(all.into_iter().zip(trials).map(point).collect())
+        let trials = self.simulator.simulate(&all)?;
+        let duration_s = self.simulator.scenario.spec().duration_s;
+        let mut simulated = Vec::with_capacity(all.len());
+        for (cells_mps2, trial) in all.into_iter().zip(trials) {
+            simulated.push(SimulatedBraking {
+                cells_mps2,
+                margin_m: trial.margin_m,
+                collides: trial.collides(),
+                until_s: trial.end_time_s().unwrap_or(duration_s),
+            });
+        }
+        Ok(simulated)
     }
 
     /// Returns pulses and ramps as starts: the mildest that collide, or those with the smallest margins.
     fn find_starts(&mut self, budget: usize) -> Result<Vec<SimulatedBraking>, AttackError> {
-        let pulses = pulses::scan(self.bench, budget);
+        let pulses = pulses::scan(self.simulator, budget);
         let profiles: Vec<_> = pulses
             .iter()
-            .map(|pulse| pulse.cells_mps2(self.bench))
+            .map(|pulse| pulse.cells_mps2(self.simulator))
             .collect();
-        let tried = self.simulate_profiles(profiles)?;
-        let mut all: Vec<(Pulse, SimulatedBraking)> = pulses.into_iter().zip(tried).collect();
+        let simulated = self.simulate_profiles(profiles)?;
+        let mut all: Vec<(Pulse, SimulatedBraking)> = pulses.into_iter().zip(simulated).collect();
         if self.objective == AttackObjective::Severest
             || !all.iter().any(|(_, point)| point.collides)
         {
@@ -143,9 +153,10 @@ impl AttackSearch<'_, '_> {
         all.sort_by(|(_, a), (_, b)| self.compare_costs(a, b));
         let mut mildest: Vec<(Pulse, SimulatedBraking)> = Vec::new();
         for (pulse, point) in all {
-            let mut others = mildest.iter();
-            if mildest.len() < most && others.all(|(other, _)| !other.differs_in_depth_only(&pulse))
-            {
+            let is_new = !mildest
+                .iter()
+                .any(|(milder, _)| milder.differs_in_depth_only(&pulse));
+            if mildest.len() < most && is_new {
                 mildest.push((pulse, point));
             }
         }
@@ -164,21 +175,20 @@ impl AttackSearch<'_, '_> {
             .map(|(pulse, _)| pulse.shallower_depth_mps2())
             .collect();
         for _ in 0..BISECTIONS {
-            let halfway = |((pulse, _), misses): (&(Pulse, SimulatedBraking), &f64)| {
-                pulse.with_depth(0.5 * (pulse.depth_mps2 + misses))
-            };
-            let halves: Vec<Pulse> = pulses.iter().zip(&misses_mps2).map(halfway).collect();
-            let tried = self.simulate_profiles(
-                halves
-                    .iter()
-                    .map(|half| half.cells_mps2(self.bench))
-                    .collect(),
-            )?;
+            let halves: Vec<Pulse> = pulses
+                .iter()
+                .zip(&misses_mps2)
+                .map(|((pulse, _), misses_mps2)| {
+                    pulse.with_depth(0.5 * (pulse.depth_mps2 + misses_mps2))
+                })
+                .collect();
+            let profiles = halves.iter().map(|half| half.cells_mps2(self.simulator));
+            let simulated = self.simulate_profiles(profiles.collect())?;
             for (((pulse, misses_mps2), half), point) in pulses
                 .iter_mut()
                 .zip(&mut misses_mps2)
                 .zip(halves)
-                .zip(tried)
+                .zip(simulated)
             {
                 if point.collides {
                     *pulse = (half, point)
@@ -197,7 +207,7 @@ impl AttackSearch<'_, '_> {
         let mut trust_region_mps2 = largest_mps2;
         let mut predicted_margin_m = at.margin_m;
         let mut phase = 0.0;
-        while trust_region_mps2 > smallest_mps2 && self.bench.evaluations < until {
+        while trust_region_mps2 > smallest_mps2 && self.simulator.evaluations < until {
             match self.step(&at, trust_region_mps2, phase)? {
                 Some(next) => {
                     at = next.profile;
@@ -222,7 +232,7 @@ impl AttackSearch<'_, '_> {
         trust_region_mps2: f64,
         phase: f64,
     ) -> Result<Option<Descent>, AttackError> {
-        let hats = HatFunctions::new(self.bench, at.until_s + CONTACT_TAIL_S, phase);
+        let hats = HatFunctions::new(self.simulator, at.until_s + CONTACT_TAIL_S, phase);
         let gradient = self.gradient(at, &hats)?;
         let step = EnvelopeStep {
             profile_mps2: &at.cells_mps2,
@@ -234,7 +244,7 @@ impl AttackSearch<'_, '_> {
         let goals = self.goals(at);
         let proposed: Vec<ProposedProfile> = goals
             .into_iter()
-            .filter_map(|goal| step.solve(self.bench, goal))
+            .filter_map(|goal| step.solve(self.simulator, goal))
             .collect();
         let profiles = proposed.iter().map(|profile| profile.cells_mps2.clone());
         let simulated = self.simulate_profiles(profiles.collect())?;
@@ -279,25 +289,23 @@ impl AttackSearch<'_, '_> {
 
     /// Returns the profile with a release as fast as the jerk allows after the end of the simulation.
     fn trim(&self, mut point: SimulatedBraking) -> SimulatedBraking {
-        let (cell_s, most) = (
-            self.bench.cell_s(),
-            self.bench.envelope.jerk_mps3 * self.bench.cell_s(),
-        );
+        let cell_s = self.simulator.cell_s();
+        let most = self.simulator.envelope.jerk_mps3 * cell_s;
         let over = (point.until_s / cell_s).ceil() as usize;
         let mut before = over
             .checked_sub(1)
             .and_then(|last| point.cells_mps2.get(last))
             .copied()
             .unwrap_or(0.0);
-        for held in point.cells_mps2.iter_mut().skip(over) {
-            *held = (before + most).min(0.0);
-            before = *held;
+        for cell_mps2 in point.cells_mps2.iter_mut().skip(over) {
+            *cell_mps2 = (before + most).min(0.0);
+            before = *cell_mps2;
         }
         point
     }
 
     fn cost(&self, cells_mps2: &[f64]) -> f64 {
-        self.objective.cost(cells_mps2, self.bench.cell_s())
+        self.objective.cost(cells_mps2, self.simulator.cell_s())
     }
 
     /// Returns the gradient of the margin with respect to the knots, in s².
@@ -306,7 +314,7 @@ impl AttackSearch<'_, '_> {
         at: &SimulatedBraking,
         hats: &HatFunctions,
     ) -> Result<Vec<f64>, AttackError> {
-        let most = self.bench.envelope.max_brake_mps2;
+        let most = self.simulator.envelope.max_brake_mps2;
         let by: Vec<f64> = hats
             .means_mps2(&at.cells_mps2)
             .map(|mean| {

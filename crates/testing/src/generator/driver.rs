@@ -35,48 +35,69 @@ pub fn controller_from_bytes(index: u8, bytes: &[u8]) -> BuiltInController {
 }
 
 fn read_profile(index: u8, choices: &mut Choices<'_>) -> LeadProfile {
-    // The paper's leader brakes at 3 m/s² from 1 s.
-    let onset_s = |choices: &mut Choices<'_>| choices.around(1.0, [0.0, 3.0]);
-    let rate_mps2 = |choices: &mut Choices<'_>| choices.around(3.0, [0.0, 9.0]);
     match index {
         0 => LeadProfile::ConstantSpeed,
         1 => LeadProfile::Brake(Brake {
-            onset_s: onset_s(choices),
-            rate_mps2: rate_mps2(choices),
+            onset_s: read_onset_s(choices),
+            rate_mps2: read_rate_mps2(choices),
         }),
         2 => LeadProfile::RampBrake(RampBrake {
-            onset_s: onset_s(choices),
-            rate_mps2: rate_mps2(choices),
+            onset_s: read_onset_s(choices),
+            rate_mps2: read_rate_mps2(choices),
             ramp_s: choices.around(1.5, [0.0, 2.0]),
             release_s: choices
                 .optional(128, |choices| choices.up_to(1.0))
                 .unwrap_or_default(),
         }),
         3 => LeadProfile::BrakeToSpeed(BrakeToSpeed {
-            onset_s: onset_s(choices),
-            rate_mps2: rate_mps2(choices),
+            onset_s: read_onset_s(choices),
+            rate_mps2: read_rate_mps2(choices),
             final_speed_mps: choices.up_to(30.0),
         }),
         4 => {
-            let (from_s, accel_mps2) = read_series(choices, 0.0, [-9.0, 4.0]);
-            LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })
+            let series = read_series(choices, 0.0, [-9.0, 4.0]);
+            LeadProfile::Pieces(PiecewiseAcceleration {
+                from_s: series.times_s,
+                accel_mps2: series.values,
+            })
         }
         _ => {
-            let (time_s, speed_mps) = read_series(choices, 25.0, [0.0, 40.0]);
-            LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
+            let series = read_series(choices, 25.0, [0.0, 40.0]);
+            LeadProfile::Recorded(RecordedSpeeds {
+                time_s: series.times_s,
+                speed_mps: series.values,
+            })
         }
     }
 }
 
-fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
+/// Reads the time at which a leader begins to brake; that of the paper brakes from 1 s.
+fn read_onset_s(choices: &mut Choices<'_>) -> f64 {
+    choices.around(1.0, [0.0, 3.0])
+}
+
+/// Reads the deceleration of a leader; that of the paper brakes at 3 m/s².
+fn read_rate_mps2(choices: &mut Choices<'_>) -> f64 {
+    choices.around(3.0, [0.0, 9.0])
+}
+
+/// Values at increasing times.
+#[derive(Default)]
+struct TimeSeries {
+    times_s: Vec<f64>,
+    values: Vec<f64>,
+}
+
+fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> TimeSeries {
     let entries = 1 + choices.byte() % MAX_ENTRIES;
+    let mut series = TimeSeries::default();
     let mut time_s = 0.0;
-    (0..entries)
-        .map(|_| {
-            time_s += choices.around(0.5, [0.001, 1.0]);
-            (time_s, choices.around(nominal, range))
-        })
-        .unzip()
+    for _ in 0..entries {
+        time_s += choices.around(0.5, [0.001, 1.0]);
+        series.times_s.push(time_s);
+        series.values.push(choices.around(nominal, range));
+    }
+    series
 }
 
 /// Controllers to generate: all with a role up to [`Role::Reference`], and the built-in policy.
@@ -91,8 +112,8 @@ pub static CONTROLLERS: LazyLock<Vec<BuiltInController>> = LazyLock::new(|| {
 
 fn read_controller(index: u8, choices: &mut Choices<'_>) -> BuiltInController {
     let mut spec = CONTROLLERS[usize::from(index) % CONTROLLERS.len()].clone();
-    for (place, field) in spec.fields().iter().enumerate() {
-        if let Some(value) = spec.get_mut(place) {
+    for (index, field) in spec.fields().iter().enumerate() {
+        if let Some(value) = spec.get_mut(index) {
             *value = choices.around(*value, field.typical_range);
         }
     }

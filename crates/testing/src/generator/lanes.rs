@@ -4,7 +4,7 @@ use arbitrary::Unstructured;
 
 use super::choices::Choices;
 use super::shape::MAX_VEHICLES;
-use crumple_sim::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
+use crumple_sim::scenario::{LaneChange, Scenario, VehicleSpec};
 
 /// Bytes of one change: occurrence, trigger and value. Each vehicle has one for entering, then one for leaving.
 const CHANGE_BYTES: usize = 4;
@@ -16,23 +16,22 @@ pub const LANE_BYTES: usize = MAX_VEHICLES * 2 * CHANGE_BYTES;
 #[must_use]
 pub fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
     let mut choices = Choices::read_block(from, LANE_BYTES);
-    let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
+    let fields: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
         [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];
-    (0..MAX_VEHICLES * places.len()).fold(scenario, |scenario, index| {
+    (0..MAX_VEHICLES * fields.len()).fold(scenario, |scenario, index| {
         let change = read_lane_change(
             &mut choices.read_sub_block(CHANGE_BYTES),
             scenario.spec().duration_s,
         );
-        let (vehicle, place) = (index / places.len(), places[index % places.len()]);
-        let set = |spec: &mut ScenarioSpec| {
-            if let Some(vehicle) = spec.vehicles.get_mut(vehicle) {
-                *place(vehicle) = change;
-            }
-        };
-        match change {
-            Some(_) => scenario.edited(set).unwrap_or(scenario),
-            None => scenario,
+        if change.is_none() {
+            return scenario;
         }
+        let changed = scenario.edited(|spec| {
+            if let Some(vehicle) = spec.vehicles.get_mut(index / fields.len()) {
+                *fields[index % fields.len()](vehicle) = change;
+            }
+        });
+        changed.unwrap_or(scenario)
     })
 }
 
@@ -70,9 +69,9 @@ mod tests {
         #[test]
         fn many_bytes_make_changes_of_all_kinds(bytes in prop::collection::vec(128_u8..=255, LANE_BYTES)) {
             let paper = built_in_scenario("paper-1").unwrap();
-            let found = with_lane_changes(paper, &mut Unstructured::new(&bytes));
-            prop_assert!(!found.keeps_lanes());
-            prop_assert!(found.vehicles().iter().skip(1).all(VehicleSpec::keeps_lane));
+            let changed = with_lane_changes(paper, &mut Unstructured::new(&bytes));
+            prop_assert!(!changed.keeps_lanes());
+            prop_assert!(changed.vehicles().iter().skip(1).all(VehicleSpec::keeps_lane));
         }
     }
 }

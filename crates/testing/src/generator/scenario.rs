@@ -41,12 +41,10 @@ pub fn read_scenario_of_shape(shape: &ScenarioShape, from: &mut Unstructured<'_>
     let mut bodies = Choices::read_block(from, MAX_VEHICLES * BODY_BYTES);
     let count = shape.drivers.len();
     let vehicles = shape.drivers.iter().enumerate().map(|(index, &kind)| {
-        let (mut drive, mut body) = (
-            drives.read_sub_block(DRIVE_BYTES),
-            bodies.read_sub_block(BODY_BYTES),
-        );
-        let (gap_m, speed_mps) = read_motion(&mut drive);
-        let mut vehicle = read_vehicle(nominal_class(index, count), gap_m, speed_mps, &mut body);
+        let mut drive = drives.read_sub_block(DRIVE_BYTES);
+        let mut body = bodies.read_sub_block(BODY_BYTES);
+        let motion = read_motion(&mut drive);
+        let mut vehicle = read_vehicle(nominal_class(index, count), motion, &mut body);
         match read_driver(kind, &mut drive) {
             Driver::Profile(profile) => make_scripted(&mut vehicle, profile),
             driver => vehicle.driver = driver,
@@ -89,17 +87,7 @@ fn scenario_spec(
     let friction = choices
         .optional(85, |choices| choices.around(1.0, [0.05, 1.0]))
         .unwrap_or(1.0);
-    let nominal = Sensors::default();
-    let mut sensors = Sensors {
-        position_noise_m: choices.around(nominal.position_noise_m, [0.0, 0.2]),
-        gap_noise_m: choices.around(nominal.gap_noise_m, [0.0, 0.2]),
-        dropout: match choices.byte() {
-            0..160 => 0.0,
-            160..176 => 1.0,
-            176.. => choices.up_to(0.5),
-        },
-        faults: SensorFaults::default(),
-    };
+    let mut sensors = read_sensor_noise(choices);
     let seed = choices.seed();
     let to_rear_m: f64 = vehicles
         .iter()
@@ -128,31 +116,56 @@ fn scenario_spec(
     }
 }
 
+/// Reads noise and dropouts of sensors without faults.
+fn read_sensor_noise(choices: &mut Choices<'_>) -> Sensors {
+    let nominal = Sensors::default();
+    Sensors {
+        position_noise_m: choices.around(nominal.position_noise_m, [0.0, 0.2]),
+        gap_noise_m: choices.around(nominal.gap_noise_m, [0.0, 0.2]),
+        dropout: match choices.byte() {
+            0..160 => 0.0,
+            160..176 => 1.0,
+            176.. => choices.up_to(0.5),
+        },
+        faults: SensorFaults::default(),
+    }
+}
+
 /// Reads the faults of the gap sensors from two bytes: their size, and a bit for each fault.
 fn read_faults(choices: &mut Choices<'_>, duration_s: f64) -> SensorFaults {
     let size = f64::from(choices.byte().saturating_sub(160)) / 95.0;
     let kinds = if size > 0.0 { choices.byte() } else { 0 };
-    let of = |bit: u8, most: f64| {
-        if kinds >> bit & 1 == 1 {
-            most * size
-        } else {
-            0.0
-        }
-    };
+    let faults = FaultChoice { kinds, size };
     SensorFaults {
-        latency_s: of(0, 0.5),
-        gap_bias_m: of(1, 3.0) - of(7, 6.0),
-        gap_resolution_m: of(2, 2.0),
-        outage_rate_per_s: of(3, 5.0),
-        outage_length_s: of(3, 1.0),
-        range_m: (kinds >> 4 & 1 == 1).then_some(1.0 + GAP_M * (1.0 - size)),
-        detection_delay_s: of(5, 1.0),
-        ghost: (kinds >> 6 & 1 == 1).then_some(GhostObject {
+        latency_s: faults.size_of(0, 0.5),
+        gap_bias_m: faults.size_of(1, 3.0) - faults.size_of(7, 6.0),
+        gap_resolution_m: faults.size_of(2, 2.0),
+        outage_rate_per_s: faults.size_of(3, 5.0),
+        outage_length_s: faults.size_of(3, 1.0),
+        range_m: faults.has(4).then_some(1.0 + GAP_M * (1.0 - size)),
+        detection_delay_s: faults.size_of(5, 1.0),
+        ghost: faults.has(6).then_some(GhostObject {
             onset_s: 0.2 * duration_s,
-            duration_s: of(6, 0.5 * duration_s),
-            gap_m: 0.1 + of(6, GAP_M),
+            duration_s: faults.size_of(6, 0.5 * duration_s),
+            gap_m: 0.1 + faults.size_of(6, GAP_M),
             speed_mps: SPEED_MPS * (1.0 - size),
         }),
+    }
+}
+
+/// Faults of the gap sensors: a bit for each, and their size as a share of the largest.
+struct FaultChoice {
+    kinds: u8,
+    size: f64,
+}
+
+impl FaultChoice {
+    fn has(&self, bit: u8) -> bool {
+        self.kinds >> bit & 1 == 1
+    }
+
+    fn size_of(&self, bit: u8, most: f64) -> f64 {
+        if self.has(bit) { most * self.size } else { 0.0 }
     }
 }
 
@@ -166,13 +179,22 @@ pub(crate) fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     }
 }
 
-fn read_motion(choices: &mut Choices<'_>) -> (f64, f64) {
+/// Gap of a vehicle to its leader, and its speed.
+struct InitialMotion {
+    gap_m: f64,
+    speed_mps: f64,
+}
+
+fn read_motion(choices: &mut Choices<'_>) -> InitialMotion {
     let gap_m = choices.around(GAP_M, [0.01, 40.0]);
     let speed_mps = choices.around(SPEED_MPS, [0.0, 45.0]);
     let close_m = choices.byte();
     let gap_m = if close_m > 212 { 0.05 * gap_m } else { gap_m };
     let stands = choices.chance(42);
-    (gap_m.max(0.01), if stands { 0.0 } else { speed_mps })
+    InitialMotion {
+        gap_m: gap_m.max(0.01),
+        speed_mps: if stands { 0.0 } else { speed_mps },
+    }
 }
 
 fn nominal_class(index: usize, count: usize) -> VehicleClass {
@@ -186,21 +208,15 @@ fn nominal_class(index: usize, count: usize) -> VehicleClass {
 /// Reads a vehicle; its position is still the gap to its leader.
 fn read_vehicle(
     nominal: VehicleClass,
-    gap_m: f64,
-    speed_mps: f64,
+    motion: InitialMotion,
     choices: &mut Choices<'_>,
 ) -> VehicleSpec {
-    let other = if nominal == VehicleClass::Heavy {
+    let alternative = if nominal == VehicleClass::Heavy {
         VehicleClass::Light
     } else {
         VehicleClass::Heavy
     };
-    let class = choices.choose(&[nominal, other]).unwrap_or(nominal);
-    let delay_s = |choices: &mut Choices<'_>| {
-        choices
-            .optional(64, |choices| choices.up_to(0.5))
-            .unwrap_or_default()
-    };
+    let class = choices.choose(&[nominal, alternative]).unwrap_or(nominal);
     VehicleSpec {
         length_m: choices.optional(77, |choices| choices.around(class.length_m(), [0.5, 30.0])),
         mass_kg: choices.optional(77, |choices| {
@@ -215,17 +231,23 @@ fn read_vehicle(
         acceleration_noise_mps2: choices
             .optional(85, |choices| choices.up_to(1.0))
             .unwrap_or_default(),
-        reaction_delay_s: delay_s(choices),
-        actuator_delay_s: delay_s(choices),
-        actuator_lag_s: delay_s(choices),
+        reaction_delay_s: read_delay_s(choices),
+        actuator_delay_s: read_delay_s(choices),
+        actuator_lag_s: read_delay_s(choices),
         jerk_limit_mps3: choices.optional(77, |choices| choices.around(10.0, [1.0, 50.0])),
         ..VehicleSpec::new(
             class,
-            gap_m,
-            speed_mps,
+            motion.gap_m,
+            motion.speed_mps,
             Driver::Profile(LeadProfile::ConstantSpeed),
         )
     }
+}
+
+fn read_delay_s(choices: &mut Choices<'_>) -> f64 {
+    choices
+        .optional(64, |choices| choices.up_to(0.5))
+        .unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -236,11 +236,11 @@ impl Campaign {
 
     /// Returns the controller under test, and the partner controller of a differential criterion.
     pub(in crate::falsify) fn controllers(&self) -> impl Iterator<Item = &NamedController> {
-        let other = self
+        let partner = self
             .failure_criterion
             .as_ref()
             .map(FailureCriterion::partner_controller);
-        std::iter::once(&self.controller).chain(other)
+        std::iter::once(&self.controller).chain(partner)
     }
 
     /// Returns the text of `campaign.toml`.

@@ -43,11 +43,11 @@ impl FailureKind {
             return Some(Self::ControllerFailed { vehicle });
         }
         Some(match (specification, verdict.contact) {
-            (Specification::NoContact, Some(struck)) => Self::Contact {
-                front_vehicle: struck.front_vehicle,
-                rear_vehicle: struck.rear_vehicle,
-                ego_braking: struck.ego_braking,
-                rear_class: struck.rear_class,
+            (Specification::NoContact, Some(contact)) => Self::Contact {
+                front_vehicle: contact.front_vehicle,
+                rear_vehicle: contact.rear_vehicle,
+                ego_braking: contact.ego_braking,
+                rear_class: contact.rear_class,
             },
             (_, contact) => Self::Violation {
                 has_contact: contact.is_some(),
@@ -91,41 +91,43 @@ impl FailureKind {
     /// Describes the kind, for scenarios like `scenario`.
     #[must_use]
     pub fn describe(&self, scenario: &Scenario) -> String {
-        let (front_vehicle, rear_vehicle, ego_braking, rear_class) = match self {
+        match self {
             Self::ControllerFailed { vehicle } => {
-                return format!("the controller of vehicle {vehicle} fails");
+                format!("the controller of vehicle {vehicle} fails")
             }
             Self::Violation { has_contact: false } => {
-                return "the specification is violated without a collision".to_owned();
+                "the specification is violated without a collision".to_owned()
             }
             Self::Violation { has_contact: true } => {
-                return "the specification is violated with a collision".to_owned();
+                "the specification is violated with a collision".to_owned()
             }
-            Self::Contact {
+            &Self::Contact {
                 front_vehicle,
                 rear_vehicle,
                 ego_braking,
                 rear_class,
-            } => (front_vehicle, rear_vehicle, ego_braking, rear_class),
-        };
-        let is_ego = |index: u32| scenario.is_under_test(index as usize);
-        let class = rear_class.name();
-        let braked = match ego_braking {
-            BrakingLevel::None => "without braking",
-            BrakingLevel::Partial => "braking partly",
-            BrakingLevel::Full => "braking fully",
-        };
-        match (is_ego(*rear_vehicle), is_ego(*front_vehicle)) {
-            (true, _) => {
-                format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braked}")
+            } => {
+                let class = rear_class.name();
+                let braking = describe_braking(ego_braking);
+                if scenario.is_under_test(rear_vehicle as usize) {
+                    format!("ego (vehicle {rear_vehicle}) hits vehicle {front_vehicle}, {braking}")
+                } else if scenario.is_under_test(front_vehicle as usize) {
+                    format!(
+                        "vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braking}"
+                    )
+                } else {
+                    format!("vehicle {rear_vehicle} ({class}) hits vehicle {front_vehicle}")
+                }
             }
-            (false, true) => {
-                format!(
-                    "vehicle {rear_vehicle} ({class}) hits the ego (vehicle {front_vehicle}), the ego {braked}"
-                )
-            }
-            _ => format!("vehicle {rear_vehicle} ({class}) hits vehicle {front_vehicle}"),
         }
+    }
+}
+
+fn describe_braking(braking: BrakingLevel) -> &'static str {
+    match braking {
+        BrakingLevel::None => "without braking",
+        BrakingLevel::Partial => "braking partly",
+        BrakingLevel::Full => "braking fully",
     }
 }
 
@@ -183,7 +185,7 @@ impl Failures {
             ln_likelihood: evaluated.ln_likelihood,
             distance_from_nominal: evaluated.distance_from_nominal,
         };
-        let Some(known) = self.groups.iter_mut().find(|known| known.kind == kind) else {
+        let Some(group) = self.groups.iter_mut().find(|group| group.kind == kind) else {
             self.groups.push(FailureGroup {
                 kind,
                 by_method: vec![(method.clone(), 1, evaluated.number)],
@@ -193,15 +195,15 @@ impl Failures {
             });
             return;
         };
-        match known.by_method.iter_mut().find(|(by, ..)| by == method) {
+        match group.by_method.iter_mut().find(|(by, ..)| by == method) {
             Some((_, count, _)) => *count += 1,
-            None => known.by_method.push((method.clone(), 1, evaluated.number)),
+            None => group.by_method.push((method.clone(), 1, evaluated.number)),
         }
-        if candidate.is_likelier_than(&known.likeliest) {
-            known.likeliest = candidate.clone();
+        if candidate.is_likelier_than(&group.likeliest) {
+            group.likeliest = candidate.clone();
         }
-        if candidate.verdict.robustness < known.severest.verdict.robustness {
-            known.severest = candidate;
+        if candidate.verdict.robustness < group.severest.verdict.robustness {
+            group.severest = candidate;
         }
     }
 
@@ -224,8 +226,11 @@ impl Failures {
 impl FailureCandidate {
     /// Returns true if this failure is likelier; if equally likely, nearer to nominal.
     fn is_likelier_than(&self, other: &Self) -> bool {
-        let key = |candidate: &Self| (candidate.ln_likelihood, -candidate.distance_from_nominal);
-        key(self) > key(other)
+        self.likelihood_key() > other.likelihood_key()
+    }
+
+    fn likelihood_key(&self) -> (f64, f64) {
+        (self.ln_likelihood, -self.distance_from_nominal)
     }
 }
 
@@ -234,7 +239,7 @@ impl FailureGroup {
     pub(super) fn examination_candidates(&self) -> Vec<&FailureCandidate> {
         let mut picks = vec![&self.severest];
         for candidate in [&self.likeliest, &self.first] {
-            if !picks.iter().any(|known| known.values == candidate.values) {
+            if !picks.iter().any(|pick| pick.values == candidate.values) {
                 picks.push(candidate);
             }
         }

@@ -51,7 +51,7 @@ impl MethodResults {
         }
         // If the own verdict is no violation, the failure is that of the partner controller.
         if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
-            let silent = self
+            let unanswered = self
                 .other_unanswered
                 .get_or_insert_with(|| UnansweredPartnerRuns {
                     runs: 0,
@@ -59,17 +59,17 @@ impl MethodResults {
                     values: evaluated.values.clone(),
                     because: String::new(),
                 });
-            silent.runs += 1;
+            unanswered.runs += 1;
         }
         self.best = self.best.min(evaluated.verdict.robustness);
     }
 }
 
 impl CampaignFindings {
-    pub(super) fn new(terms: &ResolvedConfig) -> Self {
+    pub(super) fn new(config: &ResolvedConfig) -> Self {
         Self {
             method_results: Vec::new(),
-            failures: Failures::new(terms.specification.clone()),
+            failures: Failures::new(config.specification.clone()),
         }
     }
 

@@ -29,7 +29,8 @@ impl Campaign {
         let config = ResolvedConfig::from_campaign(self)?;
         self.check_at(&config.nominal)?;
         let mut search = self.search.method.start(&config.cube, self.seed);
-        let (mut done, mut best) = (0, f64::INFINITY);
+        let mut done = 0;
+        let mut best = f64::INFINITY;
         while done < self.search.budget {
             let left = self.search.budget - done;
             let points = next_points(&mut *search, (&self.search.method, 1), &config, left)?;
@@ -80,13 +81,13 @@ mod tests {
             };
             let folder = tempfile::tempdir().unwrap();
             let summary = campaign.run(folder.path(), false, &Quiet).unwrap();
-            let found = campaign.find_first_failure(&Quiet).unwrap();
+            let first_failure = campaign.find_first_failure(&Quiet).unwrap();
             assert_eq!(
-                found.simulations, summary.methods[0].first_falsification,
+                first_failure.simulations, summary.methods[0].first_falsification,
                 "{}",
                 campaign.search.method
             );
-            let budget = found.simulations.unwrap() - 1;
+            let budget = first_failure.simulations.unwrap() - 1;
             let short = campaign
                 .with_budget(budget)
                 .find_first_failure(&Quiet)

@@ -80,10 +80,12 @@ impl FromStr for SearchObjective {
     type Err = UnknownObjective;
 
     fn from_str(name: &str) -> Result<Self, UnknownObjective> {
-        let found = Self::ALL.into_iter().find(|aim| aim.name() == name);
-        found.ok_or_else(|| UnknownObjective {
-            name: name.to_owned(),
-        })
+        Self::ALL
+            .into_iter()
+            .find(|objective| objective.name() == name)
+            .ok_or_else(|| UnknownObjective {
+                name: name.to_owned(),
+            })
     }
 }
 
@@ -111,7 +113,7 @@ mod tests {
 
         /// A failure is better than none, and of two failures the one nearer to the objective is better.
         #[test]
-        fn failures_come_first_and_are_ordered_by_the_aim(
+        fn failures_come_first_in_the_order_of_the_objective(
             safe in 0.0..100.0f64,
             deep in [-50.0..-1e-9f64, -50.0..-1e-9],
             likely in [
@@ -120,12 +122,12 @@ mod tests {
             ],
             far in [0.0..1.0f64, 0.0..1.0],
         ) {
-            let [one, other] = [0, 1].map(|i| evaluated(deep[i], likely[i], far[i]));
+            let [first, second] = [0, 1].map(|i| evaluated(deep[i], likely[i], far[i]));
             for aim in SearchObjective::ALL {
                 prop_assert_eq!(aim.name().parse::<SearchObjective>(), Ok(aim));
-                prop_assert!(aim.cost(&one) < aim.cost(&evaluated(safe, likely[0], far[0])));
+                prop_assert!(aim.cost(&first) < aim.cost(&evaluated(safe, likely[0], far[0])));
             }
-            let is_first = |aim: SearchObjective| aim.cost(&one) < aim.cost(&other);
+            let is_first = |aim: SearchObjective| aim.cost(&first) < aim.cost(&second);
             prop_assert_eq!(is_first(SearchObjective::Severest), deep[0] < deep[1]);
             prop_assert_eq!(is_first(SearchObjective::Nearest), far[0] < far[1]);
             prop_assert_eq!(is_first(SearchObjective::Harm), deep[0] < deep[1]);

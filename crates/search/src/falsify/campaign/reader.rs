@@ -153,12 +153,13 @@ impl CampaignReader {
     ///
     /// # Errors
     /// [`CampaignError`] if it is not as it was written.
-    pub fn counterexample(&self, place: usize) -> Result<Option<Scenario>, CampaignError> {
-        let Some(found) = self.summary.counterexamples.get(place) else {
+    pub fn counterexample(&self, index: usize) -> Result<Option<Scenario>, CampaignError> {
+        let Some(counterexample) = self.summary.counterexamples.get(index) else {
             return Ok(None);
         };
-        let text = self.finished.read(&found.file)?;
-        let scenario = file::from_toml(&text, &self.folder.join(&found.file), &self.controllers);
+        let text = self.finished.read(&counterexample.file)?;
+        let path = self.folder.join(&counterexample.file);
+        let scenario = file::from_toml(&text, &path, &self.controllers);
         Ok(Some(scenario.map_err(|error| {
             CampaignError::Encoding(error.to_string())
         })?))
@@ -176,7 +177,7 @@ mod tests {
     use std::ops::ControlFlow;
 
     #[test]
-    fn a_campaign_is_shown_once_it_is_complete_and_whole() {
+    fn only_complete_and_undamaged_campaigns_are_opened() {
         let campaign = Campaign::of_match_leader("high-risk", Method::Auto, 300, 7);
         let parent = tempfile::tempdir().unwrap();
         let folder = parent.path().join("campaign");
@@ -207,7 +208,7 @@ mod tests {
             let own = reader
                 .evaluations()
                 .iter()
-                .filter(|(of, _)| of.name() == method);
+                .filter(|(searched, _)| searched.name() == method);
             own.filter(|(_, evaluated)| reader.describe_failure(evaluated).is_some())
                 .count() as u64
         };
@@ -217,9 +218,9 @@ mod tests {
                 .iter()
                 .all(|method| failing(&method.method) == method.failures)
         );
-        for (place, found) in summary.counterexamples.iter().enumerate() {
-            let expected = file::load(&folder.join(&found.file), &NoDriverFiles).unwrap();
-            assert_eq!(reader.counterexample(place).unwrap(), Some(expected));
+        for (index, counterexample) in summary.counterexamples.iter().enumerate() {
+            let expected = file::load(&folder.join(&counterexample.file), &NoDriverFiles).unwrap();
+            assert_eq!(reader.counterexample(index).unwrap(), Some(expected));
         }
         assert!(
             reader

@@ -45,10 +45,10 @@ impl ResolvedConfig {
             return Err("space: differs from what crumple writes for this space".to_owned());
         }
         let text = subject.specification.clone();
-        let specification = |nominal: &Scenario| {
+        Self::resolve(record, space, |nominal| {
             Specification::parse(&text, nominal).map_err(CampaignError::from_encoding_error)
-        };
-        Self::resolve(record, space, specification).map_err(|error| error.to_string())
+        })
+        .map_err(|error| error.to_string())
     }
 
     fn resolve(
@@ -98,11 +98,10 @@ impl ResolvedConfig {
             .filter(|_| self.record.search.objective == SearchObjective::Harm);
         let harm = contact.and_then(|contact| {
             let scenario = self.space.scenario_at(point).ok()?;
-            let mass_kg = |vehicle: u32| Some(scenario.vehicles().get(vehicle as usize)?.mass_kg());
-            let masses_kg = [
-                mass_kg(contact.front_vehicle)?,
-                mass_kg(contact.rear_vehicle)?,
-            ];
+            let vehicles = scenario.vehicles();
+            let front = vehicles.get(contact.front_vehicle as usize)?;
+            let rear = vehicles.get(contact.rear_vehicle as usize)?;
+            let masses_kg = [front.mass_kg(), rear.mass_kg()];
             Some(harm_of_pair(contact.impact_speed_mps, masses_kg))
         });
         harm.unwrap_or(0.0)

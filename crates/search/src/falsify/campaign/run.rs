@@ -109,10 +109,10 @@ impl Study for Campaign {
 
     /// Records are compared, because 0.3.0 has another name for a specification.
     fn is_configured_by(&self, existing: &str) -> bool {
-        let asked = CampaignRecord::from_campaign(self);
+        let requested = CampaignRecord::from_campaign(self);
         let existing: Result<CampaignRecord, _> = toml::from_str(existing);
-        match (asked, existing) {
-            (Ok(asked), Ok(existing)) => asked.has_results_of(existing),
+        match (requested, existing) {
+            (Ok(requested), Ok(existing)) => requested.has_results_of(existing),
             _ => false,
         }
     }
@@ -204,12 +204,12 @@ impl Study for Campaign {
 /// Verdicts of a batch: those that the journal had, and then new ones.
 struct BatchVerdicts {
     verdicts: Vec<RunVerdict>,
-    known: usize,
+    logged: usize,
 }
 
 impl BatchVerdicts {
     fn unlogged(&self) -> &[RunVerdict] {
-        self.verdicts.get(self.known..).unwrap_or_default()
+        self.verdicts.get(self.logged..).unwrap_or_default()
     }
 }
 
@@ -253,10 +253,10 @@ impl Campaign {
         {
             verdicts.push(verdict);
         }
-        let known = verdicts.len();
-        let unknown_points = points.get(known..).unwrap_or_default();
-        verdicts.extend(self.evaluate(&state.config.space, unknown_points)?);
-        Ok(BatchVerdicts { verdicts, known })
+        let logged = verdicts.len();
+        let new_points = points.get(logged..).unwrap_or_default();
+        verdicts.extend(self.evaluate(&state.config.space, new_points)?);
+        Ok(BatchVerdicts { verdicts, logged })
     }
 
     /// Adds evaluations to the findings and the table. Returns their costs for the search.
@@ -325,17 +325,20 @@ impl Campaign {
         findings: &CampaignFindings,
         current: Option<&MethodResults>,
     ) -> CampaignProgress {
-        let all = || findings.method_results.iter().chain(current);
-        CampaignProgress {
+        let mut progress = CampaignProgress {
             method: current.map(|results| results.method.clone()),
             examination: None,
-            evaluations: all().map(|results| results.evaluations).sum(),
+            evaluations: 0,
             total: self.total_evaluations(),
-            failures: all().map(|results| results.failures).sum(),
-            best_robustness: all()
-                .map(|results| results.best)
-                .fold(f64::INFINITY, f64::min),
+            failures: 0,
+            best_robustness: f64::INFINITY,
+        };
+        for results in findings.method_results.iter().chain(current) {
+            progress.evaluations += results.evaluations;
+            progress.failures += results.failures;
+            progress.best_robustness = progress.best_robustness.min(results.best);
         }
+        progress
     }
 
     fn total_evaluations(&self) -> u64 {
@@ -382,10 +385,10 @@ impl Campaign {
             .iter()
             .map(|point| space.scenario_at(point))
             .collect::<Result<Vec<_>, _>>()?;
-        let asked: Vec<(&Scenario, u32)> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
+        let simulations: Vec<_> = scenarios.iter().map(|scenario| (scenario, 1)).collect();
         let verdicts = self
             .evaluator()
-            .evaluate_all(&asked)
+            .evaluate_all(&simulations)
             .into_iter()
             .collect::<Result<_, _>>()?;
         self.ensure_all_trusted()?;
@@ -403,11 +406,13 @@ pub(super) fn next_points(
     let mut points = search.ask();
     (1..batches).for_each(|_| points.extend(search.ask()));
     points.truncate(usize::try_from(most).unwrap_or(usize::MAX));
-    let invalid = |problem| CampaignError::InvalidPoints {
-        method: method.name().to_owned(),
-        problem,
-    };
-    config.cube.check_points(&points).map_err(invalid)?;
+    config
+        .cube
+        .check_points(&points)
+        .map_err(|problem| CampaignError::InvalidPoints {
+            method: method.name().to_owned(),
+            problem,
+        })?;
     points
         .iter_mut()
         .for_each(|point| *point = config.space.search_point(point));
@@ -420,22 +425,22 @@ pub(super) fn next_points(
 /// [`RunFolderError::Disk`] if it cannot be read. Damage is reported in the examination, as for every other file.
 pub fn verify_journal(
     folder: &Path,
-    mut found: FolderExamination,
+    mut examination: FolderExamination,
 ) -> Result<FolderExamination, RunFolderError> {
-    let Some(identity) = &found.identity else {
-        return Ok(found);
+    let Some(identity) = &examination.identity else {
+        return Ok(examination);
     };
-    if let Some((_, state @ Ok(()))) = found
+    if let Some((_, state @ Ok(()))) = examination
         .files
         .iter_mut()
         .find(|(name, _)| name == JOURNAL_FILE)
     {
         match Journal::verify(&folder.join(JOURNAL_FILE), identity) {
             Err(RunFolderError::Damaged { problem, .. }) => *state = Err(problem),
-            looked => looked?,
+            verified => verified?,
         }
     }
-    Ok(found)
+    Ok(examination)
 }
 
 pub(super) const CONFIGURATION_FILE: &str = "campaign.toml";
@@ -485,11 +490,11 @@ mod tests {
     fn the_observer_sees_each_step_of_the_examination() {
         let folder = tempfile::tempdir().unwrap();
         let campaign = Campaign::of_match_leader("high-risk", Method::Halton, 20, 0);
-        let seen = Mutex::new(Vec::new());
+        let notified = Mutex::new(Vec::new());
         let observer = Listener(|progress: &CampaignProgress| {
             if progress.method.is_none() {
                 assert_eq!(progress.evaluations, progress.total);
-                seen.lock().unwrap().push(progress.examination);
+                notified.lock().unwrap().push(progress.examination);
             }
         });
         let summary = campaign
@@ -502,7 +507,7 @@ mod tests {
             ExaminationStep::Confirming,
         ];
         assert_eq!(
-            seen.into_inner().unwrap(),
+            notified.into_inner().unwrap(),
             [steps.map(Some).as_slice(), &[None]].concat()
         );
     }

@@ -16,16 +16,16 @@ impl CampaignSummary {
     /// Creates the summary from findings and the recorded distinct failures.
     pub(super) fn from_findings(
         campaign: &Campaign,
-        terms: &ResolvedConfig,
+        config: &ResolvedConfig,
         findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
     ) -> Result<Self, CampaignError> {
         let CampaignFindings {
-            method_results: reached,
+            method_results: results,
             failures,
         } = findings;
-        let record = &terms.record;
-        let main = reached.first();
+        let record = &config.record;
+        let main = results.first();
         Ok(Self {
             version: SUMMARY_VERSION,
             configuration_sha256: sha256(record.to_toml()?),
@@ -34,15 +34,15 @@ impl CampaignSummary {
             method: record.search.method.name().to_owned(),
             objective: record.search.objective.name().to_owned(),
             budget: record.search.budget,
-            evaluations: main.map_or(0, |reached| reached.evaluations),
-            falsified: reached.iter().any(|reached| reached.failures > 0),
-            first_falsification: main.and_then(|reached| reached.first),
-            best_robustness: main.and_then(|reached| finite_or_none(reached.best)),
-            methods: reached.iter().map(MethodSummary::from_results).collect(),
+            evaluations: main.map_or(0, |results| results.evaluations),
+            falsified: results.iter().any(|results| results.failures > 0),
+            first_falsification: main.and_then(|results| results.first),
+            best_robustness: main.and_then(|results| finite_or_none(results.best)),
+            methods: results.iter().map(MethodSummary::from_results).collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()
-                .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
+                .map(|kind| FailureKindSummary::from_failures(kind, config, &counterexamples))
                 .collect(),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             multi_body: ConfirmationSummary::from_counterexamples(&counterexamples),
@@ -52,17 +52,17 @@ impl CampaignSummary {
 }
 
 impl MethodSummary {
-    fn from_results(reached: &MethodResults) -> Self {
+    fn from_results(results: &MethodResults) -> Self {
         Self {
-            method: reached.method.name().to_owned(),
-            evaluations: reached.evaluations,
-            first_falsification: reached.first,
-            failures: reached.failures,
-            best_robustness: finite_or_none(reached.best),
-            other_unanswered: reached.other_unanswered.as_ref().map(|silent| {
+            method: results.method.name().to_owned(),
+            evaluations: results.evaluations,
+            first_falsification: results.first,
+            failures: results.failures,
+            best_robustness: finite_or_none(results.best),
+            other_unanswered: results.other_unanswered.as_ref().map(|unanswered| {
                 FailedControllerRuns {
-                    runs: silent.runs,
-                    because: silent.because.clone(),
+                    runs: unanswered.runs,
+                    because: unanswered.because.clone(),
                 }
             }),
         }
@@ -72,7 +72,7 @@ impl MethodSummary {
 impl FailureKindSummary {
     fn from_failures(
         kind: &FailureGroup,
-        terms: &ResolvedConfig,
+        config: &ResolvedConfig,
         examined: &[Counterexample],
     ) -> Self {
         let by_method =
@@ -81,13 +81,13 @@ impl FailureKindSummary {
                 count: *count,
                 first: *first,
             };
-        let words = kind.kind.describe(&terms.nominal);
+        let description = kind.kind.describe(&config.nominal);
         Self {
             because: examined
                 .iter()
-                .find(|one| one.kind == words)
-                .and_then(|one| one.because.clone()),
-            kind: words,
+                .find(|failure| failure.kind == description)
+                .and_then(|failure| failure.because.clone()),
+            kind: description,
             failed_vehicle: match kind.kind {
                 super::FailureKind::ControllerFailed { vehicle } => Some(vehicle),
                 _ => None,

@@ -81,19 +81,18 @@ pub struct AvoidabilitySummary {
 impl AvoidabilitySummary {
     /// Counts the classes of distinct failures; `None` if none was classified.
     #[must_use]
-    pub fn from_counterexamples(found: &[Counterexample]) -> Option<Self> {
-        let count = |class| {
-            found
-                .iter()
-                .filter(|one| one.avoidability.class() == class)
-                .count()
-        };
+    pub fn from_counterexamples(counterexamples: &[Counterexample]) -> Option<Self> {
         let [avoidable, unavoidable, undecided] = [
             AvoidabilityClass::Avoidable,
             AvoidabilityClass::Unavoidable,
             AvoidabilityClass::Undecided,
         ]
-        .map(count);
+        .map(|class| {
+            counterexamples
+                .iter()
+                .filter(|counterexample| counterexample.avoidability.class() == class)
+                .count()
+        });
         let all = avoidable + unavoidable + undecided;
         let avoidable_percent = 100.0 * avoidable as f64 / all as f64;
         (all > 0).then_some(Self {
@@ -117,16 +116,16 @@ pub struct ConfirmationSummary {
 impl ConfirmationSummary {
     /// Counts the replays of distinct failures.
     #[must_use]
-    pub fn from_counterexamples(found: &[Counterexample]) -> Self {
+    pub fn from_counterexamples(counterexamples: &[Counterexample]) -> Self {
+        let survivals = counterexamples
+            .iter()
+            .filter_map(|counterexample| counterexample.survives_multi_body);
+        let escape_survivals = counterexamples
+            .iter()
+            .filter_map(|counterexample| counterexample.escape_survives_multi_body);
         Self {
-            failures: ReplayShare::from_results(
-                found.iter().filter_map(|one| one.survives_multi_body),
-            ),
-            escapes: ReplayShare::from_results(
-                found
-                    .iter()
-                    .filter_map(|one| one.escape_survives_multi_body),
-            ),
+            failures: ReplayShare::from_results(survivals),
+            escapes: ReplayShare::from_results(escape_survivals),
         }
     }
 
@@ -282,26 +281,24 @@ impl CampaignSummary {
         text
     }
 
-    fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
-        let Some(FailureCriterionRecord::Differential { controller, .. }) = &self.failure_criterion
-        else {
-            return Ok(());
-        };
-        for method in &self.methods {
-            if let Some(silent) = &method.other_unanswered {
-                let words = silent.describe(method.evaluations);
-                writeln!(
-                    out,
-                    "  NOT COMPARED: `{}` {words} ({}); these do not count as failures",
-                    TerminalText(controller),
-                    method.method
-                )?;
-            }
+    fn write(&self, out: &mut String) -> std::fmt::Result {
+        self.write_subject(out)?;
+        if self.falsified {
+            self.write_falsification(out)?;
+        } else {
+            writeln!(
+                out,
+                "  no failure found; this does not prove that none exists"
+            )?;
         }
-        Ok(())
+        self.write_methods(out)?;
+        self.write_unanswered(out)?;
+        self.write_failure_kinds(out)?;
+        self.write_counterexamples(out)
     }
 
-    fn write(&self, out: &mut String) -> std::fmt::Result {
+    /// Writes what the search looked for, and in which space.
+    fn write_subject(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
             "{} in `{}`: {}, estimator {}, seed {}",
@@ -327,48 +324,46 @@ impl CampaignSummary {
                 "  the controller declares that it is not deterministic: the same campaign may have other results"
             )?;
         }
-        if self.falsified {
-            let failures = if self.counterexamples.len() == 1 {
-                "failure"
-            } else {
-                "failures"
-            };
+        Ok(())
+    }
+
+    /// Writes how many distinct failures there are, how many are avoidable, and how many survive with another plant.
+    fn write_falsification(&self, out: &mut String) -> std::fmt::Result {
+        let count = self.counterexamples.len();
+        let failures = if count == 1 { "failure" } else { "failures" };
+        writeln!(out, "  FALSIFIED: {count} distinct {failures}")?;
+        if let Some(AvoidabilitySummary {
+            avoidable,
+            unavoidable,
+            undecided,
+            avoidable_percent,
+        }) = self.avoidability
+        {
+            let unanswered = self.describe_unanalysed();
             writeln!(
                 out,
-                "  FALSIFIED: {} distinct {failures}",
-                self.counterexamples.len()
-            )?;
-            let silent = match self
-                .counterexamples
-                .iter()
-                .filter(|one| one.because.is_some())
-                .count()
-            {
-                0 => String::new(),
-                silent => format!("; {silent} not analysed, because the controller gave no answer"),
-            };
-            if let Some(AvoidabilitySummary {
-                avoidable,
-                unavoidable,
-                undecided,
-                avoidable_percent,
-            }) = self.avoidability
-            {
-                writeln!(
-                    out,
-                    "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, \
-                     {undecided} undecided{silent}"
-                )?;
-            }
-            self.multi_body
-                .describe()
-                .try_for_each(|share| writeln!(out, "  with the multi-body plant, {share}"))?;
-        } else {
-            writeln!(
-                out,
-                "  no failure found; this does not prove that none exists"
+                "  {avoidable} of them ({avoidable_percent:.0} %) avoidable, {unavoidable} unavoidable, \
+                 {undecided} undecided{unanswered}"
             )?;
         }
+        self.multi_body
+            .describe()
+            .try_for_each(|share| writeln!(out, "  with the multi-body plant, {share}"))
+    }
+
+    /// Describes the counterexamples whose controller gave no answer; empty without any.
+    fn describe_unanalysed(&self) -> String {
+        let unanswered = self
+            .counterexamples
+            .iter()
+            .filter(|counterexample| counterexample.because.is_some());
+        match unanswered.count() {
+            0 => String::new(),
+            count => format!("; {count} not analysed, because the controller gave no answer"),
+        }
+    }
+
+    fn write_methods(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
             "\n  {:<14} {:>11} {:>14} {:>9} {:>16}",
@@ -392,38 +387,66 @@ impl CampaignSummary {
                 method.method, method.evaluations, method.failures
             )?;
         }
-        self.write_unanswered(out)?;
-        if !self.failures.is_empty() {
-            writeln!(
-                out,
-                "\n  kinds of failures, and the evaluation at which each method found them first"
-            )?;
-            for kind in &self.failures {
-                let by: Vec<_> = kind
-                    .by_method
-                    .iter()
-                    .map(|by| format!("{} {}", by.method, by.first))
-                    .collect();
+        Ok(())
+    }
+
+    /// Writes how many evaluations of a differential search have no answer of the second controller.
+    fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
+        let Some(FailureCriterionRecord::Differential { controller, .. }) = &self.failure_criterion
+        else {
+            return Ok(());
+        };
+        for method in &self.methods {
+            if let Some(unanswered) = &method.other_unanswered {
                 writeln!(
                     out,
-                    "  {:>9} x  {}  [{}]",
-                    kind.count,
-                    kind.kind,
-                    by.join(", ")
+                    "  NOT COMPARED: `{}` {} ({}); these do not count as failures",
+                    TerminalText(controller),
+                    unanswered.describe(method.evaluations),
+                    method.method
                 )?;
-                if let Some(because) = &kind.because {
-                    writeln!(out, "               {because}")?;
-                }
             }
         }
-        if !self.counterexamples.is_empty() {
-            writeln!(out, "\n  distinct failures, shrunk, severest first")?;
-            for found in &self.counterexamples {
-                found.write(
-                    out,
-                    self.subject.specification.parse() != Ok(Specification::NoContact),
-                )?;
+        Ok(())
+    }
+
+    fn write_failure_kinds(&self, out: &mut String) -> std::fmt::Result {
+        if self.failures.is_empty() {
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "\n  kinds of failures, and the evaluation at which each method found them first"
+        )?;
+        for kind in &self.failures {
+            let firsts: Vec<_> = kind
+                .by_method
+                .iter()
+                .map(|by| format!("{} {}", by.method, by.first))
+                .collect();
+            writeln!(
+                out,
+                "  {:>9} x  {}  [{}]",
+                kind.count,
+                kind.kind,
+                firsts.join(", ")
+            )?;
+            if let Some(because) = &kind.because {
+                writeln!(out, "               {because}")?;
             }
+        }
+        Ok(())
+    }
+
+    fn write_counterexamples(&self, out: &mut String) -> std::fmt::Result {
+        if self.counterexamples.is_empty() {
+            return Ok(());
+        }
+        writeln!(out, "\n  distinct failures, shrunk, severest first")?;
+        let shows_specification =
+            self.subject.specification.parse() != Ok(Specification::NoContact);
+        for counterexample in &self.counterexamples {
+            counterexample.write(out, shows_specification)?;
         }
         Ok(())
     }

@@ -48,10 +48,11 @@ impl EvaluationTable {
             return Ok(());
         }
         // A resumed campaign writes the same part again.
-        let (name, part) = self.encode_part(space)?;
+        let part = self.encode_rows(space)?;
+        folder.write(&self.part_name(), part)?;
         self.part_count += 1;
         self.rows.clear();
-        Ok(folder.write(&name, part)?)
+        Ok(())
     }
 
     pub(super) fn finish(
@@ -60,21 +61,21 @@ impl EvaluationTable {
         results: &mut FolderTransaction<'_>,
     ) -> Result<(), CampaignError> {
         if !self.rows.is_empty() {
-            let (name, part) = self.encode_part(space)?;
-            results.write(&name, part);
+            results.write(&self.part_name(), self.encode_rows(space)?);
         }
         Ok(())
     }
 
-    fn encode_part(&self, space: &ScenarioSpace) -> Result<(String, Vec<u8>), CampaignError> {
-        let name = format!("evaluations/part-{:05}{EXTENSION}", self.part_count);
-        let part = self
-            .encode_rows(space)
-            .map_err(CampaignError::from_encoding_error)?;
-        Ok((name, part))
+    fn part_name(&self) -> String {
+        format!("evaluations/part-{:05}{EXTENSION}", self.part_count)
     }
 
-    fn encode_rows(&self, space: &ScenarioSpace) -> Result<Vec<u8>, csv::Error> {
+    fn encode_rows(&self, space: &ScenarioSpace) -> Result<Vec<u8>, CampaignError> {
+        self.write_rows(space)
+            .map_err(CampaignError::from_encoding_error)
+    }
+
+    fn write_rows(&self, space: &ScenarioSpace) -> Result<Vec<u8>, csv::Error> {
         let mut table = Writer::from_writer(GzEncoder::new(Vec::new(), Compression::fast()));
         table.write_record(columns(space))?;
         let parameters: Vec<_> = space.coordinate_parameters().collect();
@@ -108,18 +109,10 @@ impl EvaluationTable {
 }
 
 fn columns(space: &ScenarioSpace) -> Vec<String> {
-    let texts = |names: &[&str]| {
-        names
-            .iter()
-            .map(|name| (*name).to_owned())
-            .collect::<Vec<_>>()
-    };
-    [
-        texts(&KEY_COLUMNS),
-        space.coordinate_names(),
-        texts(&RESULT_COLUMNS),
-    ]
-    .concat()
+    let mut columns = Vec::from(KEY_COLUMNS.map(str::to_owned));
+    columns.extend(space.coordinate_names());
+    columns.extend(RESULT_COLUMNS.map(str::to_owned));
+    columns
 }
 
 /// Formats a number so that it reads back exactly, with an exponent if decimals would be long.
@@ -130,11 +123,11 @@ fn format_number(value: f64) -> String {
 /// Reads the rows of a part. A log does not record the failure of a controller, so its verdicts omit it.
 ///
 /// # Errors
-/// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `terms`.
+/// [`CampaignError::Encoding`] if it is not a part of a campaign in the space of `config`.
 pub(super) fn decode_part(
     name: &str,
     part: &[u8],
-    terms: &ResolvedConfig,
+    config: &ResolvedConfig,
 ) -> Result<Vec<(Method, EvaluatedPoint)>, CampaignError> {
     let damaged = |problem: &str| CampaignError::Encoding(format!("{name}: {problem}"));
     if !name.ends_with(EXTENSION) {
@@ -142,21 +135,27 @@ pub(super) fn decode_part(
             "an earlier release wrote this log, in a format that this release does not read",
         ));
     }
-    let columns = columns(&terms.space);
+    let columns = columns(&config.space);
     let header: usize = columns.iter().map(|column| column.len() + 3).sum();
     // A few compressed bytes can stand for gigabytes.
     let most = header + ROWS_PER_PART * columns.len() * MAX_FIELD_BYTES;
     let mut table = csv::Reader::from_reader(GzDecoder::new(part).take(most as u64));
-    let unreadable = |error: csv::Error| damaged(&error.to_string());
-    if table.headers().map_err(unreadable)? != columns {
+    let headers = table
+        .headers()
+        .map_err(|error| damaged(&error.to_string()))?;
+    if headers != columns {
         return Err(damaged(
             "the columns differ from the parameters of the campaign's space",
         ));
     }
-    let parameters: Vec<_> = terms.space.coordinate_parameters().collect();
-    let (mut record, mut rows) = (StringRecord::new(), Vec::new());
-    while table.read_record(&mut record).map_err(unreadable)? {
-        rows.push(parse_row(&record, &parameters, terms).ok_or_else(|| {
+    let parameters: Vec<_> = config.space.coordinate_parameters().collect();
+    let mut record = StringRecord::new();
+    let mut rows = Vec::new();
+    while table
+        .read_record(&mut record)
+        .map_err(|error| damaged(&error.to_string()))?
+    {
+        rows.push(parse_row(&record, &parameters, config).ok_or_else(|| {
             let line = record.position().map_or(0, csv::Position::line);
             damaged(&format!("line {line} is not an evaluation"))
         })?);
@@ -168,46 +167,25 @@ pub(super) fn decode_part(
 fn parse_row(
     record: &StringRecord,
     parameters: &[&SpaceParameter],
-    terms: &ResolvedConfig,
+    config: &ResolvedConfig,
 ) -> Option<(Method, EvaluatedPoint)> {
     let mut fields = record.iter();
     let method = fields.next()?.parse().ok()?;
     let number = fields.next()?.parse().ok()?;
-    let coordinate = |parameter: &&SpaceParameter| {
-        let field = fields.next()?;
-        if parameter.has_named_values() {
-            parse_named_value(parameter, field)
-        } else {
-            field.parse().ok()
-        }
-    };
     let values = parameters
         .iter()
-        .map(coordinate)
+        .map(|parameter| parse_value(parameter, fields.next()?))
         .collect::<Option<Vec<f64>>>()?;
     let ln_likelihood = fields.next()?.parse().ok()?;
     let robustness = fields.next()?.parse().ok()?;
-    let contact = match fields.collect::<Vec<_>>()[..] {
+    let contact = match <[&str; 6]>::try_from(fields.collect::<Vec<_>>()).ok()? {
         ["", "", "", "", "", ""] => None,
-        [time, front, rear, impact, braking, class] => Some(FirstContact {
-            time_s: time.parse().ok()?,
-            front_vehicle: front.parse().ok()?,
-            rear_vehicle: rear.parse().ok()?,
-            impact_speed_mps: impact.parse().ok()?,
-            ego_braking: BrakingLevel::ALL
-                .into_iter()
-                .find(|known| known.name() == braking)?,
-            rear_class: VehicleClass::ALL
-                .iter()
-                .copied()
-                .find(|known| known.name() == class)?,
-        }),
-        _ => return None,
+        fields => Some(parse_contact(fields)?),
     };
-    let point = terms.space.point(&values);
+    let point = config.space.point(&values);
     let evaluated = EvaluatedPoint {
         number,
-        distance_from_nominal: terms.distance_from_nominal(&point),
+        distance_from_nominal: config.distance_from_nominal(&point),
         point,
         values,
         ln_likelihood,
@@ -218,6 +196,31 @@ fn parse_row(
         },
     };
     Some((method, evaluated))
+}
+
+/// Parses time, vehicles, impact speed, braking of the ego vehicle and class of the rear vehicle.
+fn parse_contact([time, front, rear, impact, braking, class]: [&str; 6]) -> Option<FirstContact> {
+    Some(FirstContact {
+        time_s: time.parse().ok()?,
+        front_vehicle: front.parse().ok()?,
+        rear_vehicle: rear.parse().ok()?,
+        impact_speed_mps: impact.parse().ok()?,
+        ego_braking: BrakingLevel::ALL
+            .into_iter()
+            .find(|level| level.name() == braking)?,
+        rear_class: VehicleClass::ALL
+            .iter()
+            .copied()
+            .find(|candidate| candidate.name() == class)?,
+    })
+}
+
+fn parse_value(parameter: &SpaceParameter, field: &str) -> Option<f64> {
+    if parameter.has_named_values() {
+        parse_named_value(parameter, field)
+    } else {
+        field.parse().ok()
+    }
 }
 
 fn parse_named_value(parameter: &SpaceParameter, name: &str) -> Option<f64> {

@@ -240,13 +240,16 @@ mod tests {
                 "null",
             ),
         ];
-        for (one, avoidable) in all {
-            let text = serde_json::to_string(&one).unwrap();
+        for (avoidability, avoidable) in all {
+            let text = serde_json::to_string(&avoidability).unwrap();
             assert!(
                 text.starts_with(&format!(r#"{{"avoidable":{avoidable},"#)),
                 "{text}"
             );
-            assert_eq!(serde_json::from_str::<Avoidability>(&text).unwrap(), one);
+            assert_eq!(
+                serde_json::from_str::<Avoidability>(&text).unwrap(),
+                avoidability
+            );
         }
         let old: Avoidability = serde_json::from_str(r#"{"avoidable":"not-asked"}"#).unwrap();
         assert_eq!(old, Avoidability::NotAsked);

@@ -52,8 +52,9 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
     answer: &impl Fn(&[Q]) -> Vec<A>,
 ) -> Vec<R> {
     thread::scope(|scope| {
-        let (questions, asked) = channel();
-        let (mut threads, mut answer_senders) = (Vec::new(), Vec::new());
+        let (questions, received_questions) = channel();
+        let mut threads = Vec::new();
+        let mut answer_senders = Vec::new();
         for (index, member) in members.iter().enumerate() {
             let (answer_sender, answers) = channel();
             answer_senders.push(Some(answer_sender));
@@ -65,7 +66,7 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
             threads.push(scope.spawn(move || work(member, &mut |question| sender.ask(question))));
         }
         drop(questions);
-        serve(&asked, answer_senders, answer);
+        serve(&received_questions, answer_senders, answer);
         let joined = threads.into_iter().map(|thread| thread.join());
         joined
             .map(|done| done.unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
@@ -74,14 +75,14 @@ fn run_one_batch<M: Sync, Q: Send, A: Send, R: Send>(
 }
 
 fn serve<Q, A>(
-    asked: &Receiver<Question<Q>>,
+    received_questions: &Receiver<Question<Q>>,
     mut answer_senders: Vec<Option<Sender<A>>>,
     answer: &impl Fn(&[Q]) -> Vec<A>,
 ) {
     let mut waiting: Vec<(usize, Q)> = Vec::new();
     loop {
         while waiting.len() < answer_senders.iter().flatten().count() {
-            match asked.recv() {
+            match received_questions.recv() {
                 Ok((index, Some(question))) if answer_senders[index].is_some() => {
                     waiting.push((index, question))
                 }
@@ -93,9 +94,9 @@ fn serve<Q, A>(
             return;
         }
         waiting.sort_by_key(|(index, _)| *index);
-        let (who, questions): (Vec<usize>, Vec<Q>) = waiting.drain(..).unzip();
+        let (indices, questions): (Vec<usize>, Vec<Q>) = waiting.drain(..).unzip();
         let mut answers = answer(&questions).into_iter();
-        for index in who {
+        for index in indices {
             match (answers.next(), &answer_senders[index]) {
                 (Some(answer), Some(answer_sender)) => drop(answer_sender.send(answer)),
                 _ => answer_senders[index] = None,
@@ -114,7 +115,7 @@ mod tests {
     #[test]
     fn batched_answers_equal_single_answers() {
         let members: Vec<u64> = (0..150).map(|i| i * i % 23).collect();
-        let asked = RefCell::new(Vec::new());
+        let batch_sizes = RefCell::new(Vec::new());
         let learned = run_batched(
             &members,
             |&member, ask| {
@@ -123,7 +124,7 @@ mod tests {
                     .sum::<u64>()
             },
             |questions| {
-                asked.borrow_mut().push(questions.len());
+                batch_sizes.borrow_mut().push(questions.len());
                 questions
                     .iter()
                     .map(|question| question * question)
@@ -134,12 +135,15 @@ mod tests {
             .iter()
             .map(|m| (0..*m).map(|step| (10 * m + step).pow(2)).sum::<u64>());
         assert_eq!(learned, alone.collect::<Vec<_>>());
-        let asked = asked.into_inner();
+        let batch_sizes = batch_sizes.into_inner();
         assert_eq!(
-            asked.iter().sum::<usize>() as u64,
+            batch_sizes.iter().sum::<usize>() as u64,
             members.iter().sum::<u64>()
         );
-        assert!(asked.len() <= 3 * 22 && asked[0] > 50, "{asked:?}");
+        assert!(
+            batch_sizes.len() <= 3 * 22 && batch_sizes[0] > 50,
+            "{batch_sizes:?}"
+        );
     }
 
     #[test]

@@ -14,7 +14,9 @@ use crate::falsify::campaign::{
     Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig,
 };
 use crumple_measure::{RunVerdict, SpecificationError, harm, max_delta_v_mps};
-use crumple_sim::engine::{AfterContact, FailedController, RecordingLevel, Run, simulate};
+use crumple_sim::engine::{
+    AfterContact, FailedController, RecordingLevel, Run, SimulationResult, simulate,
+};
 use crumple_sim::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 
 /// Minimum share of the impact speed, or of the violation of a formula, that shrinking preserves.
@@ -24,17 +26,20 @@ const MIN_SEVERITY_SHARE: f64 = 0.5;
 type EvaluateFn<'a> =
     dyn FnMut((Scenario, u32)) -> Option<Result<RunVerdict, SpecificationError>> + 'a;
 
+/// The failure that shrinking preserves.
+struct PreservedFailure {
+    kind: FailureKind,
+    max_robustness: f64,
+}
+
 pub(in crate::falsify) struct Examiner<'a> {
     campaign: &'a Campaign,
     config: &'a ResolvedConfig,
 }
 
 impl<'a> Examiner<'a> {
-    pub(in crate::falsify) fn new(campaign: &'a Campaign, terms: &'a ResolvedConfig) -> Self {
-        Self {
-            campaign,
-            config: terms,
-        }
+    pub(in crate::falsify) fn new(campaign: &'a Campaign, config: &'a ResolvedConfig) -> Self {
+        Self { campaign, config }
     }
 
     /// Examines all candidates. Drops only those that cannot be reproduced.
@@ -45,12 +50,12 @@ impl<'a> Examiner<'a> {
         let examined = run_batched(
             candidates,
             |candidate, ask| self.examine(candidate, ask),
-            |asked: &[(Scenario, u32)]| {
-                let asked: Vec<_> = asked
+            |simulations: &[(Scenario, u32)]| {
+                let simulations: Vec<_> = simulations
                     .iter()
                     .map(|(scenario, parts)| (scenario, *parts))
                     .collect();
-                self.campaign.evaluator().evaluate_all(&asked)
+                self.campaign.evaluator().evaluate_all(&simulations)
             },
         );
         Ok(examined
@@ -63,34 +68,41 @@ impl<'a> Examiner<'a> {
 
     pub(in crate::falsify) fn classify_all(&self, examined: &mut [ExaminedFailure]) {
         let specification = &self.config.specification;
-        examined.par_iter_mut().for_each(|one| {
-            one.analysis =
-                AvoidabilityAnalysis::classify(specification, &one.verdict, &one.scenario)
+        examined.par_iter_mut().for_each(|failure| {
+            failure.analysis =
+                AvoidabilityAnalysis::classify(specification, &failure.verdict, &failure.scenario)
         });
     }
 
     /// Replays all failures with the multi-body plant. A failure whose controller refuses the plant has no result.
     pub(in crate::falsify) fn confirm_all(&self, examined: &mut [ExaminedFailure]) {
-        let with_plant = |one: &ExaminedFailure| one.scenario.with_plant(CONFIRMING_PLANT).ok();
-        let scenarios: Vec<_> = examined.iter().map(with_plant).collect();
-        let asked: Vec<_> = scenarios
+        let scenarios: Vec<_> = examined
+            .iter()
+            .map(|failure| failure.scenario.with_plant(CONFIRMING_PLANT).ok())
+            .collect();
+        let simulations: Vec<_> = scenarios
             .iter()
             .flatten()
             .map(|scenario| (scenario, 1))
             .collect();
-        let mut verdicts = self.campaign.evaluator().evaluate_all(&asked).into_iter();
-        for (one, _) in examined
+        let mut verdicts = self
+            .campaign
+            .evaluator()
+            .evaluate_all(&simulations)
+            .into_iter();
+        for (failure, _) in examined
             .iter_mut()
             .zip(&scenarios)
             .filter(|(_, scenario)| scenario.is_some())
         {
-            one.survives = verdicts
+            failure.survives = verdicts
                 .next()
                 .and_then(Result::ok)
                 .map(|verdict| self.kind(&verdict).is_some());
         }
     }
 
+    /// Examines a candidate: shrinks it, and simulates what its files contain. `None` if it is not reproduced.
     fn examine(
         &self,
         candidate: &FailureCandidate,
@@ -101,70 +113,32 @@ impl<'a> Examiner<'a> {
         let Some(kind) = self.kind(&original_verdict) else {
             return Ok(None);
         };
-        // After a collision, robustness is the negative impact speed.
-        let most = MIN_SEVERITY_SHARE * original_verdict.robustness;
-        let survives =
-            |scenario: &Scenario, ask: &mut EvaluateFn<'_>| -> Result<bool, CampaignError> {
-                let finer = self.kind(&self.evaluate(scenario, FINER_STEP_DIVISOR, ask)?);
-                Ok(finer.is_some_and(|finer| finer.is_same_failure_mode(&kind)))
+        let dt_fragile = !self.fails_at_finer_step(&original, &kind, ask)?;
+        let values = if dt_fragile {
+            candidate.values.clone()
+        } else {
+            let preserved = PreservedFailure {
+                kind,
+                // After a collision, robustness is the negative impact speed.
+                max_robustness: MIN_SEVERITY_SHARE * original_verdict.robustness,
             };
-        let dt_fragile = !survives(&original, ask)?;
-        let mut values = candidate.values.clone();
-        if !dt_fragile {
-            let mut failed = None;
-            let mut holds = |values: &[f64]| {
-                let mut still = || -> Result<bool, CampaignError> {
-                    if !self
-                        .config
-                        .space
-                        .is_in_search_region(&self.config.space.point(values))
-                    {
-                        return Ok(false);
-                    }
-                    let scenario = self.tidy(values)?;
-                    let verdict = self.evaluate(&scenario, 1, ask)?;
-                    let as_hard = verdict.robustness <= most;
-                    Ok(self.kind(&verdict) == Some(kind) && as_hard && survives(&scenario, ask)?)
-                };
-                still().unwrap_or_else(|error| {
-                    failed.get_or_insert(error);
-                    false
-                })
-            };
-            values = shrink(&self.config.space, &values, &mut holds);
-            if let Some(error) = failed {
-                return Err(error);
-            }
-        }
+            self.shrink_values(&candidate.values, &preserved, ask)?
+        };
         // Read the text back: the file alone must fail.
-        let (scenario, original) = (
-            write_and_read_back(&self.tidy(&values)?)?,
-            write_and_read_back(&original)?,
-        );
-        let (verdict, original_verdict) = (
-            self.evaluate(&scenario, 1, ask)?,
-            self.evaluate(&original, 1, ask)?,
-        );
-        let options = self
-            .campaign
-            .evaluator()
-            .run_options(&scenario, 1)
-            .with_after_contact(AfterContact::Continue);
-        let aftermath = simulate(&Run::new(&scenario, options)?, RecordingLevel::Summary);
+        let scenario = write_and_read_back(&self.tidy(&values)?)?;
+        let original = write_and_read_back(&original)?;
+        let verdict = self.evaluate(&scenario, 1, ask)?;
+        let original_verdict = self.evaluate(&original, 1, ask)?;
+        let aftermath = self.simulate_aftermath(&scenario)?;
         let failed = aftermath.outcome.failed_controller();
-        // With an external controller, drop a failure that the file alone does not reproduce.
-        let is_again = self.kind(&verdict) == Some(kind)
+        let is_reproduced = self.kind(&verdict) == Some(kind)
             && verdict.failure.is_some() == (verdict.contact.is_none() && failed.is_some());
-        if !is_again
-            && self
-                .campaign
-                .controllers()
-                .any(|driver| driver.source.can_fail())
-        {
+        // With an external controller, drop a failure that the file alone does not reproduce.
+        if !is_reproduced && self.has_external_controller() {
             return Ok(None);
         }
-        let vehicles = 0..scenario.vehicles().len();
-        let deltas = vehicles.filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
+        let deltas_mps = (0..scenario.vehicles().len())
+            .filter_map(|index| max_delta_v_mps(&aftermath.impacts, index));
         Ok(Some(ExaminedFailure {
             method: candidate.method.clone(),
             number: candidate.number,
@@ -174,7 +148,7 @@ impl<'a> Examiner<'a> {
             verdict,
             original_verdict,
             dt_fragile,
-            max_delta_v_mps: deltas.reduce(f64::max),
+            max_delta_v_mps: deltas_mps.reduce(f64::max),
             harm: harm(&aftermath.impacts, scenario.vehicles().len()),
             vehicles_involved: aftermath.vehicles_involved(),
             because: failed
@@ -184,6 +158,72 @@ impl<'a> Examiner<'a> {
             analysis: AvoidabilityAnalysis::default(),
             survives: None,
         }))
+    }
+
+    /// Shrinks the values of a candidate as far as the failure survives.
+    fn shrink_values(
+        &self,
+        values: &[f64],
+        preserved: &PreservedFailure,
+        ask: &mut EvaluateFn<'_>,
+    ) -> Result<Vec<f64>, CampaignError> {
+        let mut first_error = None;
+        let shrunk = shrink(&self.config.space, values, &mut |changed: &[f64]| {
+            self.is_preserved(preserved, changed, ask)
+                .unwrap_or_else(|error| {
+                    first_error.get_or_insert(error);
+                    false
+                })
+        });
+        match first_error {
+            Some(error) => Err(error),
+            None => Ok(shrunk),
+        }
+    }
+
+    /// Returns whether values in the search region fail in the same way, as severely, and also at the finer step.
+    fn is_preserved(
+        &self,
+        preserved: &PreservedFailure,
+        values: &[f64],
+        ask: &mut EvaluateFn<'_>,
+    ) -> Result<bool, CampaignError> {
+        let space = &self.config.space;
+        if !space.is_in_search_region(&space.point(values)) {
+            return Ok(false);
+        }
+        let scenario = self.tidy(values)?;
+        let verdict = self.evaluate(&scenario, 1, ask)?;
+        Ok(self.kind(&verdict) == Some(preserved.kind)
+            && verdict.robustness <= preserved.max_robustness
+            && self.fails_at_finer_step(&scenario, &preserved.kind, ask)?)
+    }
+
+    fn fails_at_finer_step(
+        &self,
+        scenario: &Scenario,
+        kind: &FailureKind,
+        ask: &mut EvaluateFn<'_>,
+    ) -> Result<bool, CampaignError> {
+        let finer = self.kind(&self.evaluate(scenario, FINER_STEP_DIVISOR, ask)?);
+        Ok(finer.is_some_and(|finer| finer.is_same_failure_mode(kind)))
+    }
+
+    /// Simulates a scenario beyond its first collision.
+    fn simulate_aftermath(&self, scenario: &Scenario) -> Result<SimulationResult, CampaignError> {
+        let options = self
+            .campaign
+            .evaluator()
+            .run_options(scenario, 1)
+            .with_after_contact(AfterContact::Continue);
+        let run = Run::new(scenario, options)?;
+        Ok(simulate(&run, RecordingLevel::Summary))
+    }
+
+    fn has_external_controller(&self) -> bool {
+        self.campaign
+            .controllers()
+            .any(|controller| controller.source.can_fail())
     }
 
     fn kind(&self, verdict: &RunVerdict) -> Option<FailureKind> {
@@ -232,13 +272,13 @@ fn tidy(spec: &mut ScenarioSpec) {
                 .iter_mut()
                 .chain(&mut pieces.accel_mps2)
                 .for_each(round);
-            let mut kept: Vec<(f64, f64)> = pieces
+            let mut distinct: Vec<(f64, f64)> = pieces
                 .from_s
                 .drain(..)
                 .zip(pieces.accel_mps2.drain(..))
                 .collect();
-            kept.dedup_by_key(|(_, accel)| *accel);
-            (pieces.from_s, pieces.accel_mps2) = kept.into_iter().unzip();
+            distinct.dedup_by_key(|(_, accel_mps2)| *accel_mps2);
+            (pieces.from_s, pieces.accel_mps2) = distinct.into_iter().unzip();
         }
     }
 }

@@ -130,11 +130,14 @@ pub enum ReplayError {
 }
 
 fn describe_folders(folders: &[PathBuf]) -> String {
-    let name = |folder: &PathBuf| match folder.as_os_str().is_empty() {
-        true => "the current folder".to_owned(),
-        false => folder.display().to_string(),
-    };
-    folders.iter().map(name).collect::<Vec<_>>().join(", ")
+    let names: Vec<_> = folders
+        .iter()
+        .map(|folder| match folder.as_os_str().is_empty() {
+            true => "the current folder".to_owned(),
+            false => folder.display().to_string(),
+        })
+        .collect();
+    names.join(", ")
 }
 
 impl ExpectedFile {
@@ -158,13 +161,13 @@ impl ExpectedFile {
     /// [`FileError`] for a file that cannot be read or parsed.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let text = text_file::read(path)?;
-        let read: Self = text_file::parse_toml(&text, path)?;
-        check_version(read.version, EXPECTED_VERSION).map_err(|unsupported| FileError::Syntax {
+        let file: Self = text_file::parse_toml(&text, path)?;
+        check_version(file.version, EXPECTED_VERSION).map_err(|unsupported| FileError::Syntax {
             path: path.to_owned(),
             line: text_file::line_in_toml(&text, "version"),
             message: format!("version: {unsupported}"),
         })?;
-        Ok(read)
+        Ok(file)
     }
 }
 
@@ -180,14 +183,39 @@ impl ExpectedVerdict {
         controllers: Controllers,
     ) -> Result<ReplayResult, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario), &controllers)?;
-        let contender = self.find_controller(folder, controllers)?;
+        let controller = self.find_controller(folder, controllers)?;
+        let criterion = self.resolve_criterion(folder, controllers)?;
+        let specification = Specification::parse(&self.specification, &scenario)?;
+        let evaluator = Evaluator {
+            specification: &specification,
+            controller: &controller,
+            estimator: self.estimator,
+            failure_criterion: criterion.as_ref(),
+        };
+        let nominal = evaluator.evaluate(&scenario, 1)?;
+        let finer = evaluator.evaluate(&scenario, FINER_STEP_DIVISOR)?;
+        Ok(ReplayResult {
+            nominal,
+            finer,
+            as_recorded: self.agrees_in_failure(&nominal)
+                && self.agrees_in_time(&nominal)
+                && self.agrees_in_failure(&finer) != self.dt_fragile,
+        })
+    }
+
+    /// Resolves the additional condition, and checks that its controller is the recorded one.
+    fn resolve_criterion(
+        &self,
+        folder: &Path,
+        controllers: Controllers,
+    ) -> Result<Option<FailureCriterion>, ReplayError> {
         let criterion = self
             .failure_criterion
             .as_ref()
             .map(|record| record.resolve(folder, controllers))
             .transpose()?;
         if let (
-            Some(FailureCriterion::Differential(other)),
+            Some(FailureCriterion::Differential(partner)),
             Some(FailureCriterionRecord::Differential {
                 policy_sha256,
                 controller_sha256,
@@ -195,38 +223,27 @@ impl ExpectedVerdict {
             }),
         ) = (&criterion, &self.failure_criterion)
         {
-            self.check_identity(other, policy_sha256.as_ref(), controller_sha256.as_ref())?;
+            self.check_identity(partner, policy_sha256.as_ref(), controller_sha256.as_ref())?;
         }
-        let specification = Specification::parse(&self.specification, &scenario)?;
-        let judging = Evaluator {
-            specification: &specification,
-            controller: &contender,
-            estimator: self.estimator,
-            failure_criterion: criterion.as_ref(),
-        };
-        let (nominal, finer) = (
-            judging.evaluate(&scenario, 1)?,
-            judging.evaluate(&scenario, FINER_STEP_DIVISOR)?,
-        );
-        let is_violated = |verdict: &RunVerdict| verdict.robustness < 0.0;
-        let vehicles =
-            |verdict: &RunVerdict| verdict.contact.map(|c| (c.front_vehicle, c.rear_vehicle));
-        let recorded = self.front_vehicle.zip(self.rear_vehicle);
-        let on_time = match (nominal.contact, self.contact_time_s) {
+        Ok(criterion)
+    }
+
+    /// Returns true if a verdict has the recorded violation and vehicles.
+    fn agrees_in_failure(&self, verdict: &RunVerdict) -> bool {
+        let vehicles = verdict
+            .contact
+            .map(|contact| (contact.front_vehicle, contact.rear_vehicle));
+        (verdict.robustness < 0.0) == self.violated
+            && vehicles == self.front_vehicle.zip(self.rear_vehicle)
+    }
+
+    /// Returns true if the collision of a verdict is within a millisecond of the recorded one.
+    fn agrees_in_time(&self, verdict: &RunVerdict) -> bool {
+        match (verdict.contact, self.contact_time_s) {
             (Some(contact), Some(time_s)) => (contact.time_s - time_s).abs() < 1e-3,
             (None, None) => true,
             _ => false,
-        };
-        let finer_agrees = is_violated(&finer) == self.violated && vehicles(&finer) == recorded;
-        let as_recorded = is_violated(&nominal) == self.violated
-            && vehicles(&nominal) == recorded
-            && on_time
-            && finer_agrees != self.dt_fragile;
-        Ok(ReplayResult {
-            nominal,
-            finer,
-            as_recorded,
-        })
+        }
     }
 
     /// Finds the controller of the verdict. Relative paths start at `folder`.
@@ -238,33 +255,36 @@ impl ExpectedVerdict {
         folder: &Path,
         controllers: Controllers,
     ) -> Result<NamedController, ReplayError> {
-        let found = controllers.find(&self.controller, folder)?;
+        let controller = controllers.find(&self.controller, folder)?;
         self.check_identity(
-            &found,
+            &controller,
             self.policy_sha256.as_ref(),
             self.controller_sha256.as_ref(),
         )?;
-        Ok(found)
+        Ok(controller)
     }
 
     /// Checks that a controller has the recorded hashes. Records of earlier versions omit the hash of a network.
     fn check_identity(
         &self,
-        found: &NamedController,
+        controller: &NamedController,
         policy_sha256: Option<&String>,
         controller_sha256: Option<&String>,
     ) -> Result<(), ReplayError> {
-        let policy =
-            policy_sha256.map(|expected| (expected, found.policy().map(|policy| policy.digest())));
-        let controller = controller_sha256.map(|expected| (expected, found.disambiguating_hash()));
-        for (expected, own) in policy.into_iter().chain(controller) {
-            let own = own.unwrap_or_default();
-            if *expected != own {
+        let policy_hashes = policy_sha256.map(|expected| {
+            let actual = controller.policy().map(|policy| policy.digest());
+            (expected, actual)
+        });
+        let controller_hashes =
+            controller_sha256.map(|expected| (expected, controller.disambiguating_hash()));
+        for (expected, actual) in policy_hashes.into_iter().chain(controller_hashes) {
+            let actual = actual.unwrap_or_default();
+            if *expected != actual {
                 return Err(ReplayError::OtherController {
                     scenario: self.scenario.clone(),
-                    controller: found.name.clone(),
+                    controller: controller.name.clone(),
                     expected: expected.clone(),
-                    found: own,
+                    found: actual,
                 });
             }
         }
@@ -279,9 +299,9 @@ impl ExpectedVerdict {
     /// [`ReplayError`] if a file cannot be read, a controller is unknown, or the simulation or the specification fails.
     pub fn renew(&self, folder: &Path, controllers: Controllers) -> Result<Self, ReplayError> {
         let scenario = file::load(&folder.join(&self.scenario), &controllers)?;
-        let found = controllers.find(&self.controller, folder)?;
-        let policy_sha256 = found.policy().map(|policy| policy.digest());
-        let controller_sha256 = found.disambiguating_hash();
+        let controller = controllers.find(&self.controller, folder)?;
+        let policy_sha256 = controller.policy().map(|policy| policy.digest());
+        let controller_sha256 = controller.disambiguating_hash();
         let specification = Specification::parse(&self.specification, &scenario)?;
         let criterion = self
             .failure_criterion

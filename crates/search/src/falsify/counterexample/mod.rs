@@ -144,49 +144,31 @@ impl fmt::Display for ChangedParameter {
 impl Counterexample {
     /// Writes a description for readers; `of_formula` is true if a formula is violated.
     pub(in crate::falsify) fn write(&self, out: &mut String, of_formula: bool) -> std::fmt::Result {
-        let contact = self.impact_speed_mps.zip(self.contact_time_s);
-        let contact = contact.map(|(speed, time)| format!("{speed:.1} m/s at {time:.1} s"));
-        let severity = match (&self.because, of_formula, contact) {
-            (Some(because), ..) => because.clone(),
-            (None, false, Some(contact)) => contact,
-            (None, true, Some(contact)) => format!(
-                "robustness {:.3}; first collision {contact}",
-                self.robustness
-            ),
-            (None, _, None) => format!("robustness {:.3}", self.robustness),
-        };
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
         writeln!(
             out,
-            "  {}\n      {}: {severity}{fragile}",
-            self.file, self.kind
+            "  {}\n      {}: {}{fragile}",
+            self.file,
+            self.kind,
+            self.describe_severity(of_formula)
         )?;
-        let delta = self
-            .max_delta_v_mps
-            .map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
-        let harm = if self.harm > 0.0 {
-            format!("harm {:.3}, ", self.harm)
-        } else {
-            String::new()
-        };
-        let involved = match self.vehicles_involved {
-            0 => "no vehicle collided".to_owned(),
-            many => format!("{many} vehicles involved"),
-        };
         let runs = if self.found_at == 1 { "run" } else { "runs" };
         writeln!(
             out,
-            "      {delta}{harm}{involved}; likelihood rank {}; {} after {} {runs}",
-            self.likelihood_rank, self.found_by, self.found_at
+            "      {}; likelihood rank {}; {} after {} {runs}",
+            self.describe_consequences(),
+            self.likelihood_rank,
+            self.found_by,
+            self.found_at
         )?;
-        if let Some(words) = self.avoidability.describe() {
+        if let Some(avoidability) = self.avoidability.describe() {
             let collides = self.escape_survives_multi_body == Some(false);
             let mark = if collides {
                 "; with the multi-body plant this escape COLLIDES"
             } else {
                 ""
             };
-            writeln!(out, "      {words}{mark}")?;
+            writeln!(out, "      {avoidability}{mark}")?;
         }
         if let Some(survives) = self.survives_multi_body {
             writeln!(
@@ -202,5 +184,36 @@ impl Counterexample {
             changed.join(", ")
         };
         writeln!(out, "      differs from nominal: {changed}")
+    }
+
+    /// Describes the first collision, the violation of a formula, or why the controller failed.
+    fn describe_severity(&self, of_formula: bool) -> String {
+        if let Some(because) = &self.because {
+            return because.clone();
+        }
+        match self.impact_speed_mps.zip(self.contact_time_s) {
+            Some((speed_mps, time_s)) if of_formula => format!(
+                "robustness {:.3}; first collision {speed_mps:.1} m/s at {time_s:.1} s",
+                self.robustness
+            ),
+            Some((speed_mps, time_s)) => format!("{speed_mps:.1} m/s at {time_s:.1} s"),
+            None => format!("robustness {:.3}", self.robustness),
+        }
+    }
+
+    /// Describes the consequences of all collisions.
+    fn describe_consequences(&self) -> String {
+        let delta_v = self.max_delta_v_mps.map_or(String::new(), |delta_v_mps| {
+            format!("delta-v {delta_v_mps:.1} m/s, ")
+        });
+        let harm = if self.harm > 0.0 {
+            format!("harm {:.3}, ", self.harm)
+        } else {
+            String::new()
+        };
+        match self.vehicles_involved {
+            0 => format!("{delta_v}{harm}no vehicle collided"),
+            vehicles => format!("{delta_v}{harm}{vehicles} vehicles involved"),
+        }
     }
 }

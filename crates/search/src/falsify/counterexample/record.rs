@@ -7,6 +7,7 @@ use crate::falsify::campaign::{CampaignError, FailureKind, ResolvedConfig};
 use crate::falsify::{FailureCriterionRecord, Method};
 use crumple_measure::{RunVerdict, Specification};
 use crumple_sim::scenario::{Scenario, file};
+use crumple_spaces::SpaceParameter;
 use crumple_store::run_folder::FolderTransaction;
 
 /// Failures of one kind that are closer than this count as one.
@@ -49,12 +50,12 @@ impl Recorder<'_> {
     ) -> Vec<ExaminedFailure> {
         examined.sort_by(|a, b| self.severity(b).compare(&self.severity(a)));
         let mut distinct: Vec<ExaminedFailure> = Vec::new();
-        for one in examined {
+        for failure in examined {
             if !distinct
                 .iter()
-                .any(|known| self.is_same_failure(known, &one))
+                .any(|severer| self.is_same_failure(severer, &failure))
             {
-                distinct.push(one);
+                distinct.push(failure);
             }
         }
         distinct
@@ -70,65 +71,68 @@ impl Recorder<'_> {
             version: EXPECTED_VERSION,
             expected: Vec::new(),
         };
-        let (mut found, mut files) = (Vec::new(), Vec::new());
-        for (place, one) in (1..).zip(distinct) {
-            found.push(self.record(place, one, &mut files, &mut index)?);
+        let mut counterexamples = Vec::new();
+        let mut files = Vec::new();
+        for (number, failure) in (1..).zip(distinct) {
+            counterexamples.push(self.record(number, failure, &mut files, &mut index)?);
         }
-        rank_by_likelihood(&mut found);
-        if !found.is_empty() {
+        rank_by_likelihood(&mut counterexamples);
+        if !counterexamples.is_empty() {
             let text = toml::to_string(&index).map_err(CampaignError::from_encoding_error)?;
             files.insert(0, (in_folder(file::EXPECTED_FILE_NAME), text));
         }
         for (name, text) in files {
             results.write(&name, text);
         }
-        Ok(found)
+        Ok(counterexamples)
     }
 
-    fn severity(&self, one: &ExaminedFailure) -> Severity {
+    fn severity(&self, failure: &ExaminedFailure) -> Severity {
+        let verdict = &failure.verdict;
         let goes_by_violation =
-            self.config.specification != Specification::NoContact || one.verdict.failure.is_some();
+            self.config.specification != Specification::NoContact || verdict.failure.is_some();
         Severity {
             violation: if goes_by_violation {
-                -one.verdict.robustness
+                -verdict.robustness
             } else {
                 0.0
             },
-            impact_speed_mps: one
-                .verdict
+            impact_speed_mps: verdict
                 .contact
                 .map_or(0.0, |contact| contact.impact_speed_mps),
-            max_delta_v_mps: one.max_delta_v_mps.unwrap_or(0.0),
-            vehicles_involved: one.vehicles_involved,
+            max_delta_v_mps: failure.max_delta_v_mps.unwrap_or(0.0),
+            vehicles_involved: failure.vehicles_involved,
         }
     }
 
-    fn is_same_failure(&self, one: &ExaminedFailure, other: &ExaminedFailure) -> bool {
+    fn is_same_failure(&self, first: &ExaminedFailure, second: &ExaminedFailure) -> bool {
         let ResolvedConfig { space, cube, .. } = self.config;
-        let (a, b) = (space.point(&one.values), space.point(&other.values));
-        one.kind == other.kind
-            && cube.distance(&a, &b) <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
+        let distance = cube.distance(&space.point(&first.values), &space.point(&second.values));
+        first.kind == second.kind && distance <= SAME_FAILURE_DISTANCE * cube.blocks().len() as f64
     }
 
     /// Returns a counterexample and adds its files, without writing them.
     fn record(
         &self,
-        place: usize,
+        number: usize,
         failure: &ExaminedFailure,
         files: &mut FileContents,
         index: &mut ExpectedFile,
     ) -> Result<Counterexample, CampaignError> {
         let changed = self.changed_parameters(&failure.values);
-        let text = CounterexampleText::new(self.config, place, failure, &changed);
+        let text = CounterexampleText::new(self.config, number, failure, &changed);
         files.extend(text.files(failure)?);
-        let expect = |file: &str, verdict: &RunVerdict, class: &Avoidability| {
-            expected_verdict(self.config, failure, (file, verdict), class)
-        };
         index.expected.extend([
-            expect(&text.file, &failure.verdict, &failure.analysis.avoidability),
-            expect(
-                &text.original_file,
-                &failure.original_verdict,
+            expected_verdict(
+                self.config,
+                failure,
+                (&text.file, &failure.verdict),
+                &failure.analysis.avoidability,
+            ),
+            expected_verdict(
+                self.config,
+                failure,
+                (&text.original_file, &failure.original_verdict),
                 &Avoidability::NotAsked,
             ),
         ]);
@@ -181,29 +185,36 @@ impl Recorder<'_> {
             if own == parameter.nominal() {
                 continue;
             }
-            let mut say = |name: &str, value: f64| {
-                let unit = parameter.unit().to_owned();
-                changed.push(ChangedParameter {
-                    parameter: name.to_owned(),
-                    value: parameter.format_value(value),
-                    unit,
-                    outside_observed: self.config.space.extrapolated_range(name, value),
-                });
-            };
             match own {
                 [first, rest @ ..] if rest.iter().all(|value| value == first) => {
-                    say(parameter.name(), *first)
+                    changed.push(self.changed_parameter(parameter, parameter.name(), *first));
                 }
                 _ => {
                     let pieces = names.get(parameter.coordinates()).unwrap_or_default();
-                    let differs = pieces.iter().zip(own.iter().zip(parameter.nominal()));
-                    differs
-                        .filter(|(_, (a, b))| a != b)
-                        .for_each(|(name, (value, _))| say(name, *value));
+                    let values = own.iter().zip(parameter.nominal());
+                    for (name, (value, nominal)) in pieces.iter().zip(values) {
+                        if value != nominal {
+                            changed.push(self.changed_parameter(parameter, name, *value));
+                        }
+                    }
                 }
             }
         }
         changed
+    }
+
+    fn changed_parameter(
+        &self,
+        parameter: &SpaceParameter,
+        name: &str,
+        value: f64,
+    ) -> ChangedParameter {
+        ChangedParameter {
+            parameter: name.to_owned(),
+            value: parameter.format_value(value),
+            unit: parameter.unit().to_owned(),
+            outside_observed: self.config.space.extrapolated_range(name, value),
+        }
     }
 }
 
@@ -224,7 +235,7 @@ struct CounterexampleText {
 impl CounterexampleText {
     fn new(
         config: &ResolvedConfig,
-        place: usize,
+        number: usize,
         failure: &ExaminedFailure,
         changed: &[ChangedParameter],
     ) -> Self {
@@ -240,10 +251,10 @@ impl CounterexampleText {
         let kind = failure.kind.describe(&failure.scenario);
         let about_original = describe_finding(config, failure, &kind);
         Self {
-            file: format!("{place:02}-{slug}.toml"),
-            original_file: format!("originals/{place:02}-{slug}.toml"),
+            file: format!("{number:02}-{slug}.toml"),
+            original_file: format!("originals/{number:02}-{slug}.toml"),
             name: format!(
-                "{}-{}-{place:02}",
+                "{}-{}-{number:02}",
                 config.space.name(),
                 config.record.subject.seed
             ),
@@ -380,17 +391,23 @@ fn expected_verdict(
     }
 }
 
-fn rank_by_likelihood(found: &mut [Counterexample]) {
-    let mut order: Vec<&mut Counterexample> = found.iter_mut().collect();
-    let key = |one: &Counterexample| (-one.ln_likelihood, one.distance_from_nominal);
+fn rank_by_likelihood(counterexamples: &mut [Counterexample]) {
+    let mut order: Vec<&mut Counterexample> = counterexamples.iter_mut().collect();
     order.sort_by(|a, b| {
-        key(a)
-            .partial_cmp(&key(b))
+        unlikelihood_key(a)
+            .partial_cmp(&unlikelihood_key(b))
             .unwrap_or(std::cmp::Ordering::Equal)
     });
-    for (rank, one) in (1..).zip(order) {
-        one.likelihood_rank = rank;
+    for (rank, counterexample) in (1..).zip(order) {
+        counterexample.likelihood_rank = rank;
     }
+}
+
+fn unlikelihood_key(counterexample: &Counterexample) -> (f64, f64) {
+    (
+        -counterexample.ln_likelihood,
+        counterexample.distance_from_nominal,
+    )
 }
 
 fn capitalise(words: &str) -> String {

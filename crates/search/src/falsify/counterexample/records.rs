@@ -8,6 +8,7 @@ use super::{ExpectedFile, ExpectedVerdict, ReplayError};
 use crumple_controllers::{ControllerSpec, Controllers, UnknownController};
 use crumple_core::text_file::FileError;
 use crumple_sim::engine::NamedController;
+use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::file::{EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME};
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
@@ -42,7 +43,7 @@ impl VerdictRecordReader {
         Ok(folders.into_iter().find_map(|folder| {
             let recorded = records.get(folder)?.expected.iter();
             let verdicts: Vec<_> = recorded
-                .filter(|one| folder.join(&one.scenario) == path)
+                .filter(|verdict| folder.join(&verdict.scenario) == path)
                 .collect();
             (!verdicts.is_empty()).then(|| RecordedVerdicts {
                 folder: folder.to_owned(),
@@ -56,12 +57,12 @@ impl VerdictRecordReader {
             let has_record = [EXPECTED_FILE_NAME, LEGACY_EXPECTED_FILE_NAME]
                 .iter()
                 .any(|name| folder.join(name).is_file());
-            let read = if has_record {
+            let record = if has_record {
                 ExpectedFile::load_from_folder(folder)?
             } else {
                 ExpectedFile::default()
             };
-            self.folders.insert(folder.to_owned(), read);
+            self.folders.insert(folder.to_owned(), record);
         }
         Ok(())
     }
@@ -73,20 +74,11 @@ impl<'a> RecordedVerdicts<'a> {
     pub fn by_controller(&self) -> Vec<&'a ExpectedVerdict> {
         let mut first: Vec<&ExpectedVerdict> = Vec::new();
         for verdict in &self.verdicts {
-            let is_known = |known: &&ExpectedVerdict| {
-                (
-                    &known.controller,
-                    &known.policy_sha256,
-                    &known.controller_sha256,
-                    known.estimator,
-                ) == (
-                    &verdict.controller,
-                    &verdict.policy_sha256,
-                    &verdict.controller_sha256,
-                    verdict.estimator,
-                )
-            };
-            if !first.iter().any(is_known) {
+            let identity = controller_identity(verdict);
+            if !first
+                .iter()
+                .any(|earlier| controller_identity(earlier) == identity)
+            {
                 first.push(verdict);
             }
         }
@@ -108,41 +100,60 @@ impl<'a> RecordedVerdicts<'a> {
         controllers: Controllers,
     ) -> Result<NamedController, ReplayError> {
         let parsed = ControllerSpec::parse(&verdict.controller).ok();
-        let (own, current) = (self.folder.clone(), PathBuf::new());
         let folders = match parsed.as_ref().and_then(ControllerSpec::file) {
-            None => vec![current, own],
-            Some(file) => {
-                let has_hash =
-                    verdict.policy_sha256.is_some() || verdict.controller_sha256.is_some();
-                let above = self
-                    .folder
-                    .ancestors()
-                    .skip(1)
-                    .filter(|_| has_hash)
-                    .map(Path::to_owned);
-                let searched: Vec<PathBuf> = [own, current].into_iter().chain(above).collect();
-                let with_file: Vec<_> = searched
-                    .iter()
-                    .filter(|folder| folder.join(file).exists())
-                    .cloned()
-                    .collect();
-                if with_file.is_empty() {
-                    return Err(ReplayError::MissingController { folders: searched });
-                }
-                with_file
-            }
+            None => vec![PathBuf::new(), self.folder.clone()],
+            Some(file) => self.folders_with_file(verdict, file)?,
         };
-        let find = |folder: &PathBuf| {
-            let found = verdict.find_controller(folder, controllers)?;
-            found.try_start().map_err(UnknownController::from)?;
-            Ok(found)
-        };
-        let mut found = folders.iter().map(find);
+        let mut attempts = folders.iter().map(|folder| {
+            let controller = verdict.find_controller(folder, controllers)?;
+            controller.try_start().map_err(UnknownController::from)?;
+            Ok(controller)
+        });
         // The first error is that of the likeliest folder.
-        match found.next() {
-            Some(Err(first)) => found.find_map(Result::ok).ok_or(first),
+        match attempts.next() {
+            Some(Err(first)) => attempts.find_map(Result::ok).ok_or(first),
             Some(controller) => controller,
             None => Err(ReplayError::MissingController { folders }),
         }
     }
+
+    /// Returns the folders that have the controller's file, the likeliest first.
+    fn folders_with_file(
+        &self,
+        verdict: &ExpectedVerdict,
+        file: &str,
+    ) -> Result<Vec<PathBuf>, ReplayError> {
+        let has_hash = verdict.policy_sha256.is_some() || verdict.controller_sha256.is_some();
+        let above = self
+            .folder
+            .ancestors()
+            .skip(1)
+            .filter(|_| has_hash)
+            .map(Path::to_owned);
+        let searched: Vec<PathBuf> = [self.folder.clone(), PathBuf::new()]
+            .into_iter()
+            .chain(above)
+            .collect();
+        let with_file: Vec<_> = searched
+            .iter()
+            .filter(|folder| folder.join(file).exists())
+            .cloned()
+            .collect();
+        if with_file.is_empty() {
+            return Err(ReplayError::MissingController { folders: searched });
+        }
+        Ok(with_file)
+    }
+}
+
+/// Returns what distinguishes the controllers of a record.
+fn controller_identity(
+    verdict: &ExpectedVerdict,
+) -> (&str, Option<&str>, Option<&str>, EstimatorKind) {
+    (
+        &verdict.controller,
+        verdict.policy_sha256.as_deref(),
+        verdict.controller_sha256.as_deref(),
+        verdict.estimator,
+    )
 }

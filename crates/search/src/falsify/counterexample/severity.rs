@@ -28,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_figure_decides_where_those_before_it_are_alike() {
+    fn each_measure_decides_if_the_earlier_ones_are_equal() {
         let contact = |impact_speed_mps, max_delta_v_mps, vehicles_involved| Severity {
             violation: 0.0,
             impact_speed_mps,

@@ -52,11 +52,11 @@ fn attempt(
     changed: Vec<f64>,
     holds: &mut dyn FnMut(&[f64]) -> bool,
 ) -> bool {
-    let taken = changed != *current && holds(&changed);
-    if taken {
+    let is_accepted = changed != *current && holds(&changed);
+    if is_accepted {
         *current = changed;
     }
-    taken
+    is_accepted
 }
 
 fn try_nominal(
@@ -80,26 +80,33 @@ fn join_pieces(
     let range = parameter.coordinates();
     let mut border = range.start + 1;
     while border < range.end {
-        let at = |values: &[f64], index: usize| values.get(index).copied().unwrap_or(f64::NAN);
-        let (left, right) = (at(current, border - 1), at(current, border));
+        let left = value_at(current, border - 1);
+        let right = value_at(current, border);
         if left != right {
             let start = (range.start..border)
                 .rev()
-                .take_while(|&i| at(current, i) == left)
+                .take_while(|&i| value_at(current, i) == left)
                 .last()
                 .unwrap_or(border);
             let end = (border..range.end)
-                .take_while(|&i| at(current, i) == right)
+                .take_while(|&i| value_at(current, i) == right)
                 .last()
                 .map_or(border, |i| i + 1);
-            let mut one = current.clone();
-            one.get_mut(border..end).unwrap_or_default().fill(left);
-            let mut other = current.clone();
-            other.get_mut(start..border).unwrap_or_default().fill(right);
-            let _ = attempt(current, one, holds) || attempt(current, other, holds);
+            let mut all_left = current.clone();
+            all_left.get_mut(border..end).unwrap_or_default().fill(left);
+            let mut all_right = current.clone();
+            all_right
+                .get_mut(start..border)
+                .unwrap_or_default()
+                .fill(right);
+            let _ = attempt(current, all_left, holds) || attempt(current, all_right, holds);
         }
         border += 1;
     }
+}
+
+fn value_at(values: &[f64], index: usize) -> f64 {
+    values.get(index).copied().unwrap_or(f64::NAN)
 }
 
 fn move_towards_nominal(
@@ -166,19 +173,20 @@ fn round_values(
 
 /// Returns the numbers around a value that have fewer decimals, from tens to thousandths; the nearer side first.
 pub fn rounder_values(value: f64) -> impl Iterator<Item = f64> {
-    let at_scale = move |decimals| {
-        let scale = 10f64.powi(decimals);
-        let scaled = value * scale;
-        let other = if scaled.round() > scaled {
-            scaled.floor()
-        } else {
-            scaled.ceil()
-        };
-        [scaled.round() / scale, other / scale]
-    };
     (-1..=MAX_DECIMALS)
-        .flat_map(at_scale)
+        .flat_map(move |decimals| neighbours_with_decimals(value, decimals))
         .take_while(move |&rounded| rounded != value)
+}
+
+fn neighbours_with_decimals(value: f64, decimals: i32) -> [f64; 2] {
+    let scale = 10f64.powi(decimals);
+    let scaled = value * scale;
+    let farther = if scaled.round() > scaled {
+        scaled.floor()
+    } else {
+        scaled.ceil()
+    };
+    [scaled.round() / scale, farther / scale]
 }
 
 /// Returns the coordinates of a parameter, grouped by neighbouring pieces of equal value.
@@ -215,11 +223,11 @@ mod tests {
         // Fails if the gap is small and the leader brakes hard over the first two pieces.
         let mut holds = |v: &[f64]| v[gap] < 8.3 && v[brake] > 0.7123 && v[brake + 1] > 0.7123;
         let shrunk = shrink(&space, &start, &mut holds);
-        for (index, (found, nominal)) in shrunk.iter().zip(space.nominal()).enumerate() {
+        for (index, (value, nominal)) in shrunk.iter().zip(space.nominal()).enumerate() {
             let plays_a_part = index == gap || (brake..brake + 5).contains(&index);
             assert!(
-                plays_a_part || *found == nominal,
-                "{}: {found}",
+                plays_a_part || *value == nominal,
+                "{}: {value}",
                 names[index]
             );
         }
@@ -242,19 +250,19 @@ mod tests {
 
         /// Shrinking terminates, preserves the failure, and stays in the ranges.
         #[test]
-        fn shrinking_keeps_failing(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {
+        fn shrinking_preserves_the_failure(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {
             let space = built_in_space("high-risk").unwrap();
             let start = space.draw_point(seed, 0);
             let score = |point: &[f64]| point.iter().zip(&weights).map(|(x, w)| x * w).sum::<f64>();
             let limit = score(&start) - 0.3;
-            let mut tried = 0;
+            let mut attempts = 0;
             let mut holds = |values: &[f64]| {
-                tried += 1;
+                attempts += 1;
                 score(&space.point(values)) >= limit
             };
             let shrunk = shrink(&space, &space.values(&start), &mut holds);
             prop_assert!(holds(&shrunk));
-            prop_assert!(tried < 700, "{tried}");
+            prop_assert!(attempts < 700, "{attempts}");
             for (value, parameter) in shrunk.iter().zip(space.coordinate_parameters()) {
                 let [low, high] = parameter.range();
                 prop_assert!((low..=high).contains(value));

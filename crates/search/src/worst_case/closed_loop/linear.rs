@@ -63,13 +63,13 @@ impl Ascent {
 
     /// Returns simulated shares of the step that a linear program proposes.
     fn propose(&self, plant: &mut Plant<'_>, stream: &mut Stream) -> Vec<SimulatedProfile> {
-        let Some(Some(here)) = plant
+        let Some(Some(current_gaps)) = plant
             .simulate_gaps(std::slice::from_ref(&self.current.profile))
             .pop()
         else {
             return Vec::new();
         };
-        let blocks = self.blocks(plant, &here, stream);
+        let blocks = self.blocks(plant, &current_gaps, stream);
         let nudge_mps2 = (0.5 * self.trust_region_mps2).clamp(0.05, 1.0);
         let by_mps2: Vec<f64> = blocks
             .iter()
@@ -81,27 +81,28 @@ impl Ascent {
             .map(|(block, &by)| plant.with_block_changed(&self.current.profile, block, by))
             .collect();
         let nudged = plant.simulate_gaps(&nudged);
-        let Some(step) = self.best_step(plant, &blocks, &here, &nudged, &by_mps2) else {
+        let Some(step) = self.best_step(plant, &blocks, &current_gaps, &nudged, &by_mps2) else {
             return Vec::new();
         };
-        let share = |share: f64| {
-            let moved = |profile: Profile, (block, by): (&CellBlock, &f64)| {
-                plant.with_block_changed(&profile, block, share * by)
-            };
+        let shares = STEP_SHARES.map(|share| {
             blocks
                 .iter()
                 .zip(&step)
-                .fold(self.current.profile.clone(), moved)
-        };
-        let shares = STEP_SHARES.map(share);
+                .fold(self.current.profile.clone(), |profile, (block, by)| {
+                    plant.with_block_changed(&profile, block, share * by)
+                })
+        });
         plant.simulate_profiles(shares.into())
     }
 
     /// Returns blocks of equal length until the last small gap, at a random phase, and few after it.
-    fn blocks(&self, plant: &Plant<'_>, here: &SampledGaps, stream: &mut Stream) -> Vec<CellBlock> {
-        let near_m = self.current.margin_m.max(0.0) + NEAR_GAP_M;
-        let is_near = |sample: &usize| here.gaps_at_sample(*sample).any(|gap_m| gap_m < near_m);
-        let last = (0..here.samples).rev().find(is_near).unwrap_or(0);
+    fn blocks(
+        &self,
+        plant: &Plant<'_>,
+        current_gaps: &SampledGaps,
+        stream: &mut Stream,
+    ) -> Vec<CellBlock> {
+        let last = self.last_near_sample(current_gaps);
         let until_s = last as f64 * plant.sample_interval_s() + TAIL_S;
         let all = plant.cell_count();
         let until = ((until_s / plant.cell_s()).ceil() as usize).clamp(1, all);
@@ -118,16 +119,26 @@ impl Ascent {
             .collect();
         borders.sort_unstable();
         borders.dedup();
-        let of_ego = |ego: usize| {
-            borders.windows(2).filter_map(move |pair| match pair {
-                &[from, to] => Some(CellBlock {
-                    ego,
-                    cells: from..to,
-                }),
-                _ => None,
+        (0..plant.ego_count())
+            .flat_map(|ego| {
+                borders.windows(2).filter_map(move |pair| match pair {
+                    &[from, to] => Some(CellBlock {
+                        ego,
+                        cells: from..to,
+                    }),
+                    _ => None,
+                })
             })
-        };
-        (0..plant.ego_count()).flat_map(of_ego).collect()
+            .collect()
+    }
+
+    /// Returns the last sample with a gap near the smallest one.
+    fn last_near_sample(&self, gaps: &SampledGaps) -> usize {
+        let near_m = self.current.margin_m.max(0.0) + NEAR_GAP_M;
+        (0..gaps.samples)
+            .rev()
+            .find(|&sample| gaps.gaps_at_sample(sample).any(|gap_m| gap_m < near_m))
+            .unwrap_or(0)
     }
 
     /// Returns a nudge whose sign keeps every cell within the limits, if possible.
@@ -150,7 +161,7 @@ impl Ascent {
         let cells = cells.into_iter().flatten();
         cells.fold(
             [f64::INFINITY, f64::NEG_INFINITY],
-            |[least, most], &held| [least.min(held), most.max(held)],
+            |[least, most], &cell| [least.min(cell), most.max(cell)],
         )
     }
 
@@ -159,66 +170,105 @@ impl Ascent {
         &self,
         plant: &Plant<'_>,
         blocks: &[CellBlock],
-        here: &SampledGaps,
+        current_gaps: &SampledGaps,
         nudged: &[Option<SampledGaps>],
         by_mps2: &[f64],
     ) -> Option<Vec<f64>> {
-        let region = self.trust_region_mps2;
+        let region_mps2 = self.trust_region_mps2;
         let smallest = blocks.len();
         let mut program = QuadraticProgram::new(blocks.len() + 1);
         program.add_linear_cost(smallest, -1.0);
-        for (index, block) in blocks.iter().enumerate() {
-            let [low, high] = plant.limits_mps2(block.ego);
-            let [least, most] = self.range_mps2(block);
-            program.add_inequality(&[(index, 1.0)], region.min(high - least));
-            program.add_inequality(&[(index, -1.0)], region.min(most - low));
-            program.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
-        }
-        let slope = |sample: usize, block: usize| {
-            let gap_m = nudged.get(block)?.as_ref()?.gap_m.get(sample)?;
-            Some((gap_m - here.gap_m.get(sample)?) / by_mps2.get(block)?)
-                .filter(|slope| slope.is_finite())
-        };
-        let rows: Vec<(f64, Vec<f64>)> = here
-            .gap_m
-            .iter()
-            .enumerate()
-            .filter(|(_, gap_m)| gap_m.is_finite())
-            .map(|(sample, &gap_m)| {
-                (
-                    gap_m,
-                    (0..blocks.len())
-                        .map(|block| slope(sample, block).unwrap_or(0.0))
-                        .collect(),
-                )
-            })
-            .collect();
-        let reach = |slopes: &[f64]| region * slopes.iter().map(|slope| slope.abs()).sum::<f64>();
+        self.add_change_limits(&mut program, plant, blocks);
+        let gaps = linearise(current_gaps, nudged, by_mps2);
         // Drop gaps that stay above the maximum of another one.
-        let ceiling_m = rows
+        let ceiling_m = gaps
             .iter()
-            .map(|(gap_m, slopes)| gap_m + reach(slopes))
+            .map(|gap| gap.gap_m + gap.max_change_m(region_mps2))
             .fold(f64::INFINITY, f64::min);
         program.add_inequality(&[(smallest, 1.0)], ceiling_m);
-        for (gap_m, slopes) in rows
+        for gap in gaps
             .iter()
-            .filter(|(gap_m, slopes)| gap_m - reach(slopes) <= ceiling_m)
+            .filter(|gap| gap.gap_m - gap.max_change_m(region_mps2) <= ceiling_m)
         {
-            let falls = slopes
+            let falls = gap
+                .slopes
                 .iter()
                 .enumerate()
                 .filter(|(_, slope)| **slope != 0.0)
                 .map(|(i, slope)| (i, -slope));
-            program.add_inequality(&falls.chain([(smallest, 1.0)]).collect::<Vec<_>>(), *gap_m);
+            let row: Vec<_> = falls.chain([(smallest, 1.0)]).collect();
+            program.add_inequality(&row, gap.gap_m);
         }
-        let QuadraticSolution::Optimal { point: at, .. } = program.solve() else {
+        let QuadraticSolution::Optimal { point, .. } = program.solve() else {
             return None;
         };
         // Rounded, because the last digits of the solver differ between machines.
-        let rounded = |change: &f64| (change.clamp(-region, region) * 1e4).round() / 1e4;
-        let step: Vec<f64> = at.iter().take(blocks.len()).map(rounded).collect();
+        let step: Vec<f64> = point
+            .iter()
+            .take(blocks.len())
+            .map(|change| (change.clamp(-region_mps2, region_mps2) * 1e4).round() / 1e4)
+            .collect();
         step.iter().all(|change| change.is_finite()).then_some(step)
     }
+
+    /// Limits the change of each block to the trust region and to the limits of its vehicle.
+    fn add_change_limits(
+        &self,
+        program: &mut QuadraticProgram,
+        plant: &Plant<'_>,
+        blocks: &[CellBlock],
+    ) {
+        let region_mps2 = self.trust_region_mps2;
+        for (index, block) in blocks.iter().enumerate() {
+            let [low, high] = plant.limits_mps2(block.ego);
+            let [least, most] = self.range_mps2(block);
+            program.add_inequality(&[(index, 1.0)], region_mps2.min(high - least));
+            program.add_inequality(&[(index, -1.0)], region_mps2.min(most - low));
+            program.add_squared_cost(&[(index, 1.0)], REGULARIZATION_WEIGHT);
+        }
+    }
+}
+
+/// A gap of one pair at one sample, as a linear function of the changes of all blocks.
+struct LinearisedGap {
+    gap_m: f64,
+    /// Change of the gap in metres for a change of each block by 1 m/s².
+    slopes: Vec<f64>,
+}
+
+impl LinearisedGap {
+    /// Returns the maximum change of the gap in metres if no block changes by more than the trust region.
+    fn max_change_m(&self, region_mps2: f64) -> f64 {
+        region_mps2 * self.slopes.iter().map(|slope| slope.abs()).sum::<f64>()
+    }
+}
+
+/// Linearises all gaps by finite differences. A slope that was not simulated is 0.
+fn linearise(
+    current_gaps: &SampledGaps,
+    nudged: &[Option<SampledGaps>],
+    by_mps2: &[f64],
+) -> Vec<LinearisedGap> {
+    let finite_gaps_m = current_gaps
+        .gap_m
+        .iter()
+        .copied()
+        .enumerate()
+        .filter(|(_, gap_m)| gap_m.is_finite());
+    finite_gaps_m
+        .map(|(sample, gap_m)| LinearisedGap {
+            gap_m,
+            slopes: nudged
+                .iter()
+                .zip(by_mps2)
+                .map(|(nudged, by_mps2)| {
+                    let nudged_m = nudged.as_ref()?.gap_m.get(sample)?;
+                    Some((nudged_m - gap_m) / by_mps2).filter(|slope| slope.is_finite())
+                })
+                .map(|slope| slope.unwrap_or(0.0))
+                .collect(),
+        })
+        .collect()
 }
 
 impl SampledGaps {

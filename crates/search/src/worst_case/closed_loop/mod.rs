@@ -62,17 +62,16 @@ pub(super) fn largest_gap(
     let found_by = FoundBy::ClosedLoop {
         simulations: plant.simulations,
     };
-    let replay = |candidate: SimulatedProfile| {
-        Escape::from_accelerations(
-            scenario,
-            plant.first_ego(),
-            plant.step_accelerations_mps2(&candidate.profile),
-            found_by,
-        )
-    };
     best.into_iter()
         .filter(|candidate| candidate.margin_m > 0.0)
-        .find_map(replay)
+        .find_map(|candidate| {
+            Escape::from_accelerations(
+                scenario,
+                plant.first_ego(),
+                plant.step_accelerations_mps2(&candidate.profile),
+                found_by,
+            )
+        })
 }
 
 /// Returns the smallest initial gap, in metres, an upper bound for any profile. Infinite if vehicles change lanes.
@@ -101,12 +100,13 @@ impl GapSearch<'_> {
         program_mps2: Option<&[Vec<f64>]>,
         effort: SearchEffort,
     ) -> Vec<SimulatedProfile> {
-        let (enough_m, cycles) = match effort {
-            SearchEffort::Decide => (
-                DECISIVE_MARGIN_M.min(self.sufficient_margin_m),
-                DECIDING_CYCLES,
-            ),
-            SearchEffort::Optimise => (self.sufficient_margin_m, CYCLES.len()),
+        let enough_m = match effort {
+            SearchEffort::Decide => DECISIVE_MARGIN_M.min(self.sufficient_margin_m),
+            SearchEffort::Optimise => self.sufficient_margin_m,
+        };
+        let cycles = match effort {
+            SearchEffort::Decide => DECIDING_CYCLES,
+            SearchEffort::Optimise => CYCLES.len(),
         };
         let program = program_mps2.map(|each_step_mps2| self.plant.cell_profile(each_step_mps2));
         let mut best = self.plant.simulate_profiles(program.into_iter().collect());
@@ -139,37 +139,15 @@ impl GapSearch<'_> {
         enough_m: f64,
         cycles: usize,
     ) -> Vec<(SpeedShape, SimulatedProfile)> {
-        let mut tried = self.simulate_shapes(shapes::simple_shapes(&self.plant));
-        tried.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
-        let mut best: Vec<(SpeedShape, SimulatedProfile)> = Vec::new();
-        for (shape, at) in tried {
-            let is_new = best
-                .iter()
-                .all(|(_, other)| distance_mps2(&other.profile, &at.profile) > MIN_DISTANCE_MPS2);
-            if is_new && best.len() < CYCLES[0][0] {
-                best.push((shape, at));
-            }
-        }
+        let mut best = self.distinct_simple_shapes();
         for [shapes, rounds] in CYCLES.into_iter().take(cycles) {
             best.truncate(shapes);
             for index in (0..best.len()).flat_map(|index| std::iter::repeat_n(index, rounds)) {
                 if best.iter().any(|(_, at)| at.margin_m >= enough_m) {
                     break;
                 }
-                let Some((shape, _)) = best.get(index) else {
-                    continue;
-                };
-                let changes = (0..CHANGES_PER_ROUND)
-                    .map(|_| shape.mutate(&self.plant, &mut self.stream))
-                    .collect();
-                let better = self
-                    .simulate_shapes(changes)
-                    .into_iter()
-                    .max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
-                if let (Some(current), Some(better)) = (best.get_mut(index), better)
-                    && better.1.margin_m > current.1.margin_m
-                {
-                    *current = better;
+                if let Some(current) = best.get_mut(index) {
+                    self.try_changes(current);
                 }
             }
             best.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
@@ -177,13 +155,45 @@ impl GapSearch<'_> {
         best
     }
 
+    /// Returns the best simple shapes whose profiles are not almost equal, the best first.
+    fn distinct_simple_shapes(&mut self) -> Vec<(SpeedShape, SimulatedProfile)> {
+        let mut simulated = self.simulate_shapes(shapes::simple_shapes(&self.plant));
+        simulated.sort_by(|(_, a), (_, b)| b.margin_m.total_cmp(&a.margin_m));
+        let mut best: Vec<(SpeedShape, SimulatedProfile)> = Vec::new();
+        for (shape, at) in simulated {
+            let is_new = best
+                .iter()
+                .all(|(_, better)| distance_mps2(&better.profile, &at.profile) > MIN_DISTANCE_MPS2);
+            if is_new && best.len() < CYCLES[0][0] {
+                best.push((shape, at));
+            }
+        }
+        best
+    }
+
+    /// Replaces a shape by the best of its random changes, if that one is better.
+    fn try_changes(&mut self, current: &mut (SpeedShape, SimulatedProfile)) {
+        let changes = (0..CHANGES_PER_ROUND)
+            .map(|_| current.0.mutate(&self.plant, &mut self.stream))
+            .collect();
+        let best = self
+            .simulate_shapes(changes)
+            .into_iter()
+            .max_by(|(_, a), (_, b)| a.margin_m.total_cmp(&b.margin_m));
+        if let Some(best) = best
+            && best.1.margin_m > current.1.margin_m
+        {
+            *current = best;
+        }
+    }
+
     fn simulate_shapes(&mut self, shapes: Vec<SpeedShape>) -> Vec<(SpeedShape, SimulatedProfile)> {
         let profiles = shapes
             .iter()
             .map(|shape| shape.profile(&self.plant))
             .collect();
-        let tried = self.plant.simulate_profiles(profiles);
-        shapes.into_iter().zip(tried).collect()
+        let simulated = self.plant.simulate_profiles(profiles);
+        shapes.into_iter().zip(simulated).collect()
     }
 
     fn ascend(&mut self, from: SimulatedProfile, steps: usize, enough_m: f64) -> SimulatedProfile {
@@ -202,11 +212,10 @@ fn sort_by_margin(candidates: &mut [SimulatedProfile]) {
     candidates.sort_by(|a, b| b.margin_m.total_cmp(&a.margin_m));
 }
 
-fn distance_mps2(one: &Profile, other: &Profile) -> f64 {
-    let (one, other) = (one.iter().flatten(), other.iter().flatten());
-    let (sum, count) = one.zip(other).fold((0.0, 0.0), |(sum, count), (a, b)| {
-        (sum + (a - b).abs(), count + 1.0)
-    });
+fn distance_mps2(first: &Profile, second: &Profile) -> f64 {
+    let cells = first.iter().flatten().zip(second.iter().flatten());
+    let count = cells.clone().count() as f64;
+    let sum = cells.fold(0.0, |sum, (a, b)| sum + (a - b).abs());
     sum / f64::max(count, 1.0)
 }
 
@@ -233,13 +242,13 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_in_is_avoided_where_that_can_be() {
-        let found = avoid(&cut_in(2.0), AvoidOptions::default()).unwrap();
-        let escape = found
+    fn an_avoidable_cut_in_has_an_escape() {
+        let avoidance = avoid(&cut_in(2.0), AvoidOptions::default()).unwrap();
+        let escape = avoidance
             .verdict
             .escape()
             .expect("20 m/s take 53 of 40 m and what is driven meanwhile");
-        assert!(escape.min_gap_m > 1.0 && found.min_gap_bound_m.is_none());
+        assert!(escape.min_gap_m > 1.0 && avoidance.min_gap_bound_m.is_none());
         assert!(escape.scenario.vehicles()[0].enters.is_some());
         // A driver that brakes at once avoids the cut-in.
         assert!(
@@ -252,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn any_follower_will_do_for_an_escape() {
+    fn escapes_exist_ahead_of_followers_that_no_program_models() {
         let paper = built_in_scenario("paper-1").unwrap();
         for follower in ["idm", "acc-aeb"] {
             let behind = |gap_m: f64| {

@@ -40,6 +40,34 @@ struct EgoLimits {
     high_mps2: f64,
 }
 
+impl EgoLimits {
+    /// Returns the limits of a vehicle; `None` if it has a lag or a jerk limit.
+    fn new(scenario: &Scenario, index: usize) -> Option<Self> {
+        let vehicle = scenario.vehicles().get(index)?;
+        vehicle.response().is_full_at_once().then(|| Self {
+            index,
+            dead_steps: delay_steps(scenario, vehicle),
+            low_mps2: -scenario.usable_brake_mps2(index),
+            high_mps2: vehicle.max_accel_mps2(),
+        })
+    }
+
+    /// Returns the acceleration at each step, in m/s², if each cell lasts `cell` steps.
+    fn step_accelerations_mps2(&self, cells: &[f64], cell: usize, steps: usize) -> Vec<f64> {
+        let mut accelerations_mps2: Vec<f64> = cells
+            .iter()
+            .flat_map(|&accel_mps2| std::iter::repeat_n(accel_mps2, cell))
+            .take(steps)
+            .map(|accel_mps2| accel_mps2.clamp(self.low_mps2, self.high_mps2))
+            .collect();
+        accelerations_mps2
+            .iter_mut()
+            .take(self.dead_steps)
+            .for_each(|accel_mps2| *accel_mps2 = 0.0);
+        accelerations_mps2
+    }
+}
+
 pub(super) struct Plant<'s> {
     scenario: &'s Scenario,
     egos: Vec<EgoLimits>,
@@ -61,16 +89,10 @@ impl<'s> Plant<'s> {
         let follow_each_other = indices
             .windows(2)
             .all(|pair| pair.first().map(|ahead| ahead + 1) == pair.last().copied());
-        let ego = |index: usize| {
-            let vehicle = scenario.vehicles().get(index)?;
-            vehicle.response().is_full_at_once().then(|| EgoLimits {
-                index,
-                dead_steps: delay_steps(scenario, vehicle),
-                low_mps2: -scenario.usable_brake_mps2(index),
-                high_mps2: vehicle.max_accel_mps2(),
-            })
-        };
-        let egos: Vec<EgoLimits> = indices.into_iter().map(ego).collect::<Option<_>>()?;
+        let egos: Vec<EgoLimits> = indices
+            .into_iter()
+            .map(|index| EgoLimits::new(scenario, index))
+            .collect::<Option<_>>()?;
         (follow_each_other && !egos.is_empty()).then_some(Self {
             scenario,
             egos,
@@ -122,29 +144,24 @@ impl<'s> Plant<'s> {
 
     /// Returns the profile of accelerations per step: the mean of each cell.
     pub(super) fn cell_profile(&self, each_step_mps2: &[Vec<f64>]) -> Profile {
-        let mean = |steps: &[f64]| steps.iter().sum::<f64>() / steps.len() as f64;
         each_step_mps2
             .iter()
-            .map(|each| each.chunks(self.cell).map(mean).collect())
+            .map(|steps_mps2| {
+                steps_mps2
+                    .chunks(self.cell)
+                    .map(|cell| cell.iter().sum::<f64>() / cell.len() as f64)
+                    .collect()
+            })
             .collect()
     }
 
     pub(super) fn step_accelerations_mps2(&self, profile: &Profile) -> Vec<Vec<f64>> {
         let steps = self.scenario.steps();
-        let of = |(ego, cells): (&EgoLimits, &Vec<f64>)| {
-            let held = cells
-                .iter()
-                .flat_map(|&held| std::iter::repeat_n(held, self.cell))
-                .take(steps);
-            let mut each: Vec<f64> = held
-                .map(|held| held.clamp(ego.low_mps2, ego.high_mps2))
-                .collect();
-            each.iter_mut()
-                .take(ego.dead_steps)
-                .for_each(|held| *held = 0.0);
-            each
-        };
-        self.egos.iter().zip(profile).map(of).collect()
+        self.egos
+            .iter()
+            .zip(profile)
+            .map(|(ego, cells)| ego.step_accelerations_mps2(cells, self.cell, steps))
+            .collect()
     }
 
     pub(super) fn with_block_changed(
@@ -154,15 +171,15 @@ impl<'s> Plant<'s> {
         by_mps2: f64,
     ) -> Profile {
         let [low, high] = self.limits_mps2(block.ego);
-        let mut moved = profile.clone();
-        let cells = moved
+        let mut changed = profile.clone();
+        let cells = changed
             .get_mut(block.ego)
             .and_then(|cells| cells.get_mut(block.cells.clone()));
         cells
             .into_iter()
             .flatten()
-            .for_each(|held| *held = (*held + by_mps2).clamp(low, high));
-        moved
+            .for_each(|cell| *cell = (*cell + by_mps2).clamp(low, high));
+        changed
     }
 
     /// Simulates profiles; an invalid scenario has a margin of minus infinity.
@@ -170,36 +187,36 @@ impl<'s> Plant<'s> {
         let margins_m = self.simulate(&profiles, RecordingLevel::Summary, |simulated| {
             ProfileOutcome::from_simulated(&simulated).margin_m
         });
-        let tried = |(profile, margin_m): (Profile, Option<f64>)| SimulatedProfile {
-            profile,
-            margin_m: margin_m.unwrap_or(f64::NEG_INFINITY),
-        };
-        profiles.into_iter().zip(margins_m).map(tried).collect()
+        profiles
+            .into_iter()
+            .zip(margins_m)
+            .map(|(profile, margin_m)| SimulatedProfile {
+                profile,
+                margin_m: margin_m.unwrap_or(f64::NEG_INFINITY),
+            })
+            .collect()
     }
 
     pub(super) fn simulate_gaps(&mut self, profiles: &[Profile]) -> Vec<Option<SampledGaps>> {
         let stride = self.sample_steps();
         let samples = self.scenario.steps() / stride + 1;
         let vehicles = self.scenario.vehicles().len();
-        let sampled = |simulated: SimulationResult| {
+        let gaps = self.simulate(profiles, RecordingLevel::Trace, |simulated| {
             let trace = simulated.trace.as_ref()?;
-            let pair = |rear: usize| {
+            let pairs_m = (1..vehicles).flat_map(|rear| {
                 let gaps_m = trace
                     .gaps_m(rear)
                     .into_iter()
                     .step_by(stride)
                     .map(|gap_m| gap_m.unwrap_or(f64::NAN));
                 gaps_m.chain(std::iter::repeat(f64::NAN)).take(samples)
-            };
+            });
             Some(SampledGaps {
-                gap_m: (1..vehicles).flat_map(pair).collect(),
+                gap_m: pairs_m.collect(),
                 samples,
             })
-        };
-        self.simulate(profiles, RecordingLevel::Trace, sampled)
-            .into_iter()
-            .map(Option::flatten)
-            .collect()
+        });
+        gaps.into_iter().map(Option::flatten).collect()
     }
 
     pub(super) fn sample_interval_s(&self) -> f64 {
@@ -239,13 +256,9 @@ impl<'s> Plant<'s> {
         let step_s = self.scenario.spec().step_s;
         let scripts = self.step_accelerations_mps2(profile);
         let scripted = self.scenario.edited(|spec| {
-            for (vehicle, each) in spec
-                .vehicles
-                .iter_mut()
-                .skip(self.first_ego())
-                .zip(&scripts)
-            {
-                set_script(vehicle, script_pieces(each, step_s));
+            let egos = spec.vehicles.iter_mut().skip(self.first_ego());
+            for (vehicle, script_mps2) in egos.zip(&scripts) {
+                set_script(vehicle, script_pieces(script_mps2, step_s));
             }
         });
         scripted.ok()

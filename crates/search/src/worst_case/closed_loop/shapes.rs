@@ -29,65 +29,78 @@ pub(super) struct SpeedShape(Vec<Vec<(f64, f64)>>);
 
 /// Returns brakings to a lower speed, accelerations, and two brakings with an acceleration in between.
 pub(super) fn simple_shapes(plant: &Plant<'_>) -> Vec<SpeedShape> {
-    let duration_s = plant.duration_s();
     let mut all = vec![vec![]];
     for begins_s in ONSETS_S {
-        for (brake, speed) in BRAKE_SHARES
-            .into_iter()
-            .flat_map(|brake| SPEED_SHARES.map(|speed| (brake, speed)))
-        {
-            let slows = [
-                ShapeSegment::Hold { until_s: begins_s },
-                ShapeSegment::Change {
-                    to: speed,
-                    share: brake,
-                },
-            ];
-            for last in FINAL_SPEED_SHARES.into_iter().take(if speed == 0.0 {
-                1
-            } else {
-                FINAL_SPEED_SHARES.len()
-            }) {
-                let (until_s, to) = if last < 0.0 {
-                    (0.5 * duration_s, 0.0)
+        add_brakings(&mut all, begins_s, plant.duration_s());
+        add_accelerations(&mut all, begins_s);
+    }
+    add_double_brakings(&mut all);
+    all.into_iter()
+        .map(|segments| SpeedShape::new(plant, &segments))
+        .collect()
+}
+
+/// Adds brakings to a lower speed, each followed by a linear change of the speed.
+fn add_brakings(shapes: &mut Vec<Vec<ShapeSegment>>, begins_s: f64, duration_s: f64) {
+    for brake_share in BRAKE_SHARES {
+        for speed_share in SPEED_SHARES {
+            let final_shares = match speed_share {
+                0.0 => &FINAL_SPEED_SHARES[..1],
+                _ => &FINAL_SPEED_SHARES[..],
+            };
+            for &final_share in final_shares {
+                let last = if final_share < 0.0 {
+                    ShapeSegment::Reach {
+                        until_s: 0.5 * duration_s,
+                        to: 0.0,
+                    }
                 } else {
-                    (duration_s, last * speed)
+                    ShapeSegment::Reach {
+                        until_s: duration_s,
+                        to: final_share * speed_share,
+                    }
                 };
-                all.push(
-                    slows
-                        .into_iter()
-                        .chain([ShapeSegment::Reach { until_s, to }])
-                        .collect(),
-                );
+                shapes.push(vec![
+                    ShapeSegment::Hold { until_s: begins_s },
+                    ShapeSegment::Change {
+                        to: speed_share,
+                        share: brake_share,
+                    },
+                    last,
+                ]);
             }
         }
-        for speed in HIGHER_SPEED_SHARES {
-            all.push(vec![
-                ShapeSegment::Hold { until_s: begins_s },
-                ShapeSegment::Change {
-                    to: speed,
-                    share: 1.0,
-                },
-            ]);
-        }
     }
-    for (halt, added) in INTERMEDIATE_SPEED_SHARES
+}
+
+fn add_accelerations(shapes: &mut Vec<Vec<ShapeSegment>>, begins_s: f64) {
+    for speed_share in HIGHER_SPEED_SHARES {
+        shapes.push(vec![
+            ShapeSegment::Hold { until_s: begins_s },
+            ShapeSegment::Change {
+                to: speed_share,
+                share: 1.0,
+            },
+        ]);
+    }
+}
+
+/// Adds pairs of brakings, the second to standstill, with an acceleration in between.
+fn add_double_brakings(shapes: &mut Vec<Vec<ShapeSegment>>) {
+    for (slow, added) in INTERMEDIATE_SPEED_SHARES
         .into_iter()
-        .flat_map(|halt| ADDED_SPEED_SHARES.map(|added| (halt, added)))
+        .flat_map(|slow| ADDED_SPEED_SHARES.map(|added| (slow, added)))
     {
         for (first, last) in BRAKE_SHARES
             .into_iter()
             .take(4)
             .flat_map(|first| FINAL_BRAKE_SHARES.map(|last| (first, last)))
         {
-            let [slows, speeds_up, stops] = [(halt, first), (halt + added, 1.0), (0.0, last)]
+            let segments = [(slow, first), (slow + added, 1.0), (0.0, last)]
                 .map(|(to, share)| ShapeSegment::Change { to, share });
-            all.push(vec![slows, speeds_up, stops]);
+            shapes.push(segments.into());
         }
     }
-    all.into_iter()
-        .map(|legs| SpeedShape::new(plant, &legs))
-        .collect()
 }
 
 /// A segment of a simple shape. Speeds are shares of the initial speed.
@@ -109,48 +122,21 @@ enum ShapeSegment {
 }
 
 impl SpeedShape {
-    fn new(plant: &Plant<'_>, legs: &[ShapeSegment]) -> Self {
-        let of_ego = |ego: usize| {
-            let ([low, high], first_mps) = (plant.limits_mps2(ego), plant.initial_speed_mps(ego));
-            let mut knots = vec![(0.0, first_mps)];
-            let (mut now_s, mut speed_mps) = (0.0_f64, first_mps);
-            for leg in legs {
-                (now_s, speed_mps) = match *leg {
-                    ShapeSegment::Hold { until_s } => (now_s.max(until_s), speed_mps),
-                    ShapeSegment::Change { to, share } => {
-                        let to_mps = to * first_mps;
-                        let most_mps2 = share * if to_mps < speed_mps { -low } else { high };
-                        (
-                            now_s + (to_mps - speed_mps).abs() / most_mps2.max(1e-3),
-                            to_mps,
-                        )
-                    }
-                    ShapeSegment::Reach { until_s, to } => (now_s.max(until_s), to * first_mps),
-                };
-                knots.push((now_s, speed_mps));
-            }
-            knots
-        };
-        Self((0..plant.ego_count()).map(of_ego).collect())
+    fn new(plant: &Plant<'_>, segments: &[ShapeSegment]) -> Self {
+        Self(
+            (0..plant.ego_count())
+                .map(|ego| ego_knots(plant, ego, segments))
+                .collect(),
+        )
     }
 
     /// Returns the acceleration in each cell that follows the knots within the limits.
     pub(super) fn profile(&self, plant: &Plant<'_>) -> Profile {
-        let of_ego = |(ego, knots): (usize, &Vec<(f64, f64)>)| {
-            let ([low, high], cell_s) = (plant.limits_mps2(ego), plant.cell_s());
-            let mut speed_mps = plant.initial_speed_mps(ego);
-            let held = |cell: usize| {
-                let held_mps2 = match cell < plant.dead_cells(ego) {
-                    true => 0.0,
-                    false => ((speed_at(knots, (cell + 1) as f64 * cell_s) - speed_mps) / cell_s)
-                        .clamp(low, high),
-                };
-                speed_mps += held_mps2 * cell_s;
-                held_mps2
-            };
-            (0..plant.cell_count()).map(held).collect()
-        };
-        self.0.iter().enumerate().map(of_ego).collect()
+        self.0
+            .iter()
+            .enumerate()
+            .map(|(ego, knots)| follow_knots(plant, ego, knots))
+            .collect()
     }
 
     pub(super) fn mutate(&self, plant: &Plant<'_>, stream: &mut Stream) -> Self {
@@ -163,6 +149,51 @@ impl SpeedShape {
         }
         changed
     }
+}
+
+/// Returns the knots of one vehicle under test: time in seconds and speed in m/s.
+fn ego_knots(plant: &Plant<'_>, ego: usize, segments: &[ShapeSegment]) -> Vec<(f64, f64)> {
+    let [low, high] = plant.limits_mps2(ego);
+    let first_mps = plant.initial_speed_mps(ego);
+    let mut knots = vec![(0.0, first_mps)];
+    let mut now_s = 0.0_f64;
+    let mut speed_mps = first_mps;
+    for segment in segments {
+        match *segment {
+            ShapeSegment::Hold { until_s } => now_s = now_s.max(until_s),
+            ShapeSegment::Change { to, share } => {
+                let to_mps = to * first_mps;
+                let most_mps2 = share * if to_mps < speed_mps { -low } else { high };
+                now_s += (to_mps - speed_mps).abs() / most_mps2.max(1e-3);
+                speed_mps = to_mps;
+            }
+            ShapeSegment::Reach { until_s, to } => {
+                now_s = now_s.max(until_s);
+                speed_mps = to * first_mps;
+            }
+        }
+        knots.push((now_s, speed_mps));
+    }
+    knots
+}
+
+/// Returns the acceleration of one vehicle under test in each cell, in m/s².
+fn follow_knots(plant: &Plant<'_>, ego: usize, knots: &[(f64, f64)]) -> Vec<f64> {
+    let [low, high] = plant.limits_mps2(ego);
+    let cell_s = plant.cell_s();
+    let mut speed_mps = plant.initial_speed_mps(ego);
+    (0..plant.cell_count())
+        .map(|cell| {
+            let accel_mps2 = if cell < plant.dead_cells(ego) {
+                0.0
+            } else {
+                let target_mps = speed_at(knots, (cell + 1) as f64 * cell_s);
+                ((target_mps - speed_mps) / cell_s).clamp(low, high)
+            };
+            speed_mps += accel_mps2 * cell_s;
+            accel_mps2
+        })
+        .collect()
 }
 
 /// Returns the interpolated speed at a time, in m/s; constant after the last knot.
@@ -185,7 +216,6 @@ fn mutate_knots(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Strea
     // Small changes are as frequent as large ones.
     let by = 10.0_f64.powf(stream.random_range(-2.0..0.8)) * normal;
     let at = stream.random_range(0..knots.len().max(1));
-    let moved = |from_s: f64| (from_s + 0.5 * by).clamp(0.0, duration_s);
     match stream.random_range(0..8) {
         0..=2 => knots
             .iter_mut()
@@ -196,11 +226,11 @@ fn mutate_knots(knots: &mut Vec<(f64, f64)>, duration_s: f64, stream: &mut Strea
             .iter_mut()
             .skip(at)
             .take(1)
-            .for_each(|(from_s, _)| *from_s = moved(*from_s)),
+            .for_each(|(from_s, _)| *from_s = (*from_s + 0.5 * by).clamp(0.0, duration_s)),
         4 => knots
             .iter_mut()
             .skip(at)
-            .for_each(|(from_s, _)| *from_s = moved(*from_s)),
+            .for_each(|(from_s, _)| *from_s = (*from_s + 0.5 * by).clamp(0.0, duration_s)),
         5 => knots
             .iter_mut()
             .skip(at)

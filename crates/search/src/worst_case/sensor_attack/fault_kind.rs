@@ -27,21 +27,20 @@ pub(super) struct FaultKind {
 }
 
 impl FaultKind {
-    /// Returns the size at `place` steps and `part` of [`PARTS`] of a step: the number that its decimal text states, so
-    /// that a printed size is the simulated one.
-    pub(super) fn amount(&self, FaultSize { place, part }: FaultSize) -> f64 {
-        let parts = place as i32 * PARTS as i32 + part as i32;
+    /// Returns a size as the number that its decimal text states, so that a printed size is the simulated one.
+    pub(super) fn amount(&self, FaultSize { steps, part }: FaultSize) -> f64 {
+        let parts = steps as i32 * PARTS as i32 + part as i32;
         let units = self.none + parts * (self.step / PARTS as i32);
         f64::from(units) / 10_f64.powi(self.decimals as i32)
     }
 
-    pub(super) fn share(&self, FaultSize { place, part }: FaultSize) -> f64 {
-        f64::from(place * PARTS + part) / f64::from(self.count * PARTS)
+    pub(super) fn share(&self, FaultSize { steps, part }: FaultSize) -> f64 {
+        f64::from(steps * PARTS + part) / f64::from(self.count * PARTS)
     }
 
     pub(super) fn searched_sizes(&self) -> SearchedSizes {
         let [smallest, largest] =
-            [1, self.count].map(|place| self.amount(FaultSize { place, part: 0 }));
+            [1, self.count].map(|steps| self.amount(FaultSize { steps, part: 0 }));
         SearchedSizes {
             count: self.count,
             smallest,
@@ -148,10 +147,10 @@ pub(super) const KINDS: [FaultKind; 8] = [
     },
 ];
 
-/// A size of a fault: so many steps of its kind, and parts of a step.
+/// A size of a fault: so many steps of its kind, and so many [parts](PARTS) of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct FaultSize {
-    pub(super) place: u32,
+    pub(super) steps: u32,
     pub(super) part: u32,
 }
 

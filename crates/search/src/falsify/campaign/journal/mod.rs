@@ -162,15 +162,15 @@ impl Journal {
 
 /// Returns true for the header of this run, false if it is truncated or missing, `None` for another run.
 fn has_header(journal: &mut impl Read, identity: &str) -> io::Result<Option<bool>> {
-    let mut found = [0; HEADER_BYTES];
-    match journal.read_exact(&mut found) {
+    let mut header = [0; HEADER_BYTES];
+    match journal.read_exact(&mut header) {
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Some(false)),
         read => read?,
     }
-    if found == [0; HEADER_BYTES] && is_all_zero(journal)? {
+    if header == [0; HEADER_BYTES] && is_all_zero(journal)? {
         return Ok(Some(false));
     }
-    Ok((found == header_line(identity).as_bytes()).then_some(true))
+    Ok((header == header_line(identity).as_bytes()).then_some(true))
 }
 
 fn header_line(identity: &str) -> String {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn verdicts_survive_and_torn_records_do_not() {
+    fn whole_records_are_read_back_and_torn_ones_are_dropped() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         let struck = FirstContact {
@@ -244,7 +244,7 @@ mod tests {
 
     /// A campaign that refuses its journal changes nothing.
     #[test]
-    fn a_damaged_journal_keeps_its_length() {
+    fn a_damaged_journal_is_not_changed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         Journal::create(&path, &identity())
@@ -262,7 +262,7 @@ mod tests {
 
     /// Tests a change of any bit of the header or a record, and an exchange of two records.
     #[test]
-    fn damage_is_found_where_it_is() {
+    fn damage_is_reported_at_its_record() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
         let verdicts = [1.0, 2.0, 3.0].map(RunVerdict::new);

@@ -36,7 +36,8 @@ pub(super) fn read_record(
     index: u64,
 ) -> Result<JournalEntry, RunFolderError> {
     let unusable = DiskError::at(path);
-    let (mut body, mut checksum) = ([0; BODY_BYTES], [0; CHECKSUM_BYTES]);
+    let mut body = [0; BODY_BYTES];
+    let mut checksum = [0; CHECKSUM_BYTES];
     match journal
         .read_exact(&mut body)
         .and_then(|()| journal.read_exact(&mut checksum))
@@ -88,79 +89,102 @@ pub(super) fn record_checksum(
     first
         .iter_mut()
         .zip(digest)
-        .for_each(|(place, byte)| *place = byte);
+        .for_each(|(target, byte)| *target = byte);
     first
 }
 
-pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BYTES] {
-    let (time_s, impact_speed_mps, vehicles, kind, class) = match (verdict.contact, verdict.failure)
-    {
-        (Some(contact), _) => {
-            let FirstContact {
+/// Fields of a record after the robustness.
+struct RecordFields {
+    time_s: f64,
+    impact_speed_mps: f64,
+    vehicles: [u32; 2],
+    /// Braking of the ego vehicle, or a number that says that there is no collision.
+    kind: u8,
+    class: u8,
+}
+
+impl RecordFields {
+    fn from_verdict(verdict: &RunVerdict) -> Self {
+        match (verdict.contact, verdict.failure) {
+            (Some(contact), _) => Self {
+                time_s: contact.time_s,
+                impact_speed_mps: contact.impact_speed_mps,
+                vehicles: [contact.front_vehicle, contact.rear_vehicle],
+                kind: contact.ego_braking as u8,
+                class: contact.rear_class.number(),
+            },
+            (None, Some((time_s, vehicle))) => Self {
                 time_s,
-                front_vehicle,
-                rear_vehicle,
-                impact_speed_mps,
-                ego_braking,
-                rear_class,
-            } = contact;
-            (
-                time_s,
-                impact_speed_mps,
-                [front_vehicle, rear_vehicle],
-                ego_braking as u8,
-                rear_class.number(),
-            )
+                impact_speed_mps: 0.0,
+                vehicles: [vehicle, 0],
+                kind: CONTROLLER_FAILED,
+                class: 0,
+            },
+            (None, None) => Self {
+                time_s: 0.0,
+                impact_speed_mps: 0.0,
+                vehicles: [0, 0],
+                kind: NO_CONTACT,
+                class: 0,
+            },
         }
-        (None, Some((time_s, vehicle))) => (time_s, 0.0, [vehicle, 0], CONTROLLER_FAILED, 0),
-        (None, None) => (0.0, 0.0, [0, 0], NO_CONTACT, 0),
-    };
+    }
+}
+
+pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BYTES] {
+    let fields = RecordFields::from_verdict(verdict);
     let mut record = [0; BODY_BYTES];
-    let doubles = [verdict.robustness, time_s, impact_speed_mps].map(f64::to_le_bytes);
-    let vehicles = vehicles.map(u32::to_le_bytes);
+    let doubles =
+        [verdict.robustness, fields.time_s, fields.impact_speed_mps].map(f64::to_le_bytes);
+    let vehicles = fields.vehicles.map(u32::to_le_bytes);
     let bytes = doubles
         .concat()
         .into_iter()
         .chain(vehicles.concat())
-        .chain([kind, class]);
+        .chain([fields.kind, fields.class]);
     record
         .iter_mut()
         .zip(bytes)
-        .for_each(|(place, byte)| *place = byte);
+        .for_each(|(target, byte)| *target = byte);
     record
 }
 
 pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerdict {
-    let double = |index: usize| {
-        let bytes = record
-            .get(8 * index..8 * index + 8)
-            .and_then(|bytes| bytes.try_into().ok());
-        f64::from_le_bytes(bytes.unwrap_or_default())
-    };
-    let vehicle = |index: usize| {
-        let bytes = record
-            .get(24 + 4 * index..28 + 4 * index)
-            .and_then(|bytes| bytes.try_into().ok());
-        u32::from_le_bytes(bytes.unwrap_or_default())
-    };
     let [.., braking, class] = *record;
     let contact = BrakingLevel::ALL
         .get(usize::from(braking))
         .map(|&ego_braking| FirstContact {
-            time_s: double(1),
-            front_vehicle: vehicle(0),
-            rear_vehicle: vehicle(1),
-            impact_speed_mps: double(2),
+            time_s: decode_double(record, 1),
+            front_vehicle: decode_vehicle(record, 0),
+            rear_vehicle: decode_vehicle(record, 1),
+            impact_speed_mps: decode_double(record, 2),
             ego_braking,
             rear_class: VehicleClass::ALL
                 .get(usize::from(class))
                 .copied()
                 .unwrap_or(VehicleClass::Light),
         });
-    let failed = (braking == CONTROLLER_FAILED).then(|| (double(1), vehicle(0)));
+    let failure = (braking == CONTROLLER_FAILED)
+        .then(|| (decode_double(record, 1), decode_vehicle(record, 0)));
     RunVerdict {
-        robustness: double(0),
+        robustness: decode_double(record, 0),
         contact,
-        failure: failed,
+        failure,
     }
+}
+
+/// Reads one of the leading numbers of a record.
+fn decode_double(record: &[u8; BODY_BYTES], index: usize) -> f64 {
+    let bytes = record
+        .get(8 * index..8 * index + 8)
+        .and_then(|bytes| bytes.try_into().ok());
+    f64::from_le_bytes(bytes.unwrap_or_default())
+}
+
+/// Reads one of the two vehicle indices of a record.
+fn decode_vehicle(record: &[u8; BODY_BYTES], index: usize) -> u32 {
+    let bytes = record
+        .get(24 + 4 * index..28 + 4 * index)
+        .and_then(|bytes| bytes.try_into().ok());
+    u32::from_le_bytes(bytes.unwrap_or_default())
 }
