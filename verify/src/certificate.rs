@@ -65,14 +65,11 @@ pub struct CertificateProvenance {
 /// # Errors
 /// Those of the system; [`std::io::ErrorKind::InvalidInput`] for anything but a regular file.
 pub fn open_regular_file(path: &Path) -> std::io::Result<File> {
-    let refuse = || {
-        Err(std::io::Error::new(
+    match path.metadata() {
+        Ok(metadata) if !metadata.is_file() && !metadata.is_dir() => Err(std::io::Error::new(
             std::io::ErrorKind::InvalidInput,
             "is not a regular file",
-        ))
-    };
-    match path.metadata() {
-        Ok(found) if !found.is_file() && !found.is_dir() => refuse(),
+        )),
         _ => File::open(path),
     }
 }

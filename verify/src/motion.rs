@@ -32,17 +32,27 @@ pub fn distance_and_speed_after(
 }
 
 fn corner_distance_and_speed(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
-    let (v, a) = (Interval::point(v), Interval::point(a));
+    let [v, a] = [v, a].map(Interval::point);
     let end = v + a * t;
-    let moving = || v * t + a * t.sqr() * Interval::point(0.5);
-    let stopped = || v.sqr().over(-(a + a));
-    let covered = match (a.low() >= 0.0 || end.low() >= 0.0, end.high() < 0.0) {
-        (true, _) => moving(),
-        (_, true) => stopped(),
+    let surely_moves = a.low() >= 0.0 || end.low() >= 0.0;
+    let surely_stops = end.high() < 0.0;
+    let covered = if surely_moves {
+        distance_moving(v, a, t)
+    } else if surely_stops {
+        stopping_distance(v, a)
+    } else {
         // Rounding leaves open whether it stops: either formula may be the true one.
-        _ => moving().hull(stopped()),
+        distance_moving(v, a, t).hull(stopping_distance(v, a))
     };
     (covered, end.max(Interval::ZERO))
+}
+
+fn distance_moving(v: Interval, a: Interval, t: Interval) -> Interval {
+    v * t + a * t.sqr() * Interval::point(0.5)
+}
+
+fn stopping_distance(v: Interval, a: Interval) -> Interval {
+    v.sqr().over(-(a + a))
 }
 
 pub(crate) fn expand_pieces<T: Copy>(held: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {

@@ -6,7 +6,7 @@ use crate::Rejection;
 use crate::interval::Interval;
 use crate::reach::controller::OBSERVATION_SIZE;
 use crate::reach::form::AffineForm;
-use crate::reach::{FollowerLaw, NeuralController};
+use crate::reach::{ControllerInput, FollowerLaw, NeuralController};
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 
 /// Gaps ahead and behind; speeds ahead, own, behind; accelerations ahead, own, behind.
@@ -29,31 +29,33 @@ pub(super) enum CommandModel<'a> {
     Network(Box<NeuralController>, [Interval; 2]),
 }
 
+/// True if an input depends on gap and relative speed of the pair only, or on a follower, which does not exist.
+fn is_relative(input: &ControllerInput) -> bool {
+    let factors = &input.coefficients;
+    let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION]
+        .iter()
+        .any(|&quantity| factors[quantity] != 0.0);
+    if is_about_follower {
+        input.absent_value.is_some()
+    } else {
+        factors[OWN] + factors[LEADER] == 0.0
+            && factors[LEADER_ACCELERATION] == 0.0
+            && factors[OWN_ACCELERATION] == 0.0
+    }
+}
+
 impl CommandModel<'_> {
     /// Checks that a controller has no input that the model of motion does not have.
     pub(super) fn check_inputs(&self, motion: MotionModel) -> Result<(), Rejection> {
-        let (Self::Network(network, _), MotionModel::Relative) = (self, motion) else {
-            return match (self, motion) {
-                (Self::Law(_), MotionModel::Relative) => Err(Rejection::invalid(
+        let network = match (self, motion) {
+            (_, MotionModel::Absolute) => return Ok(()),
+            (Self::Law(_), MotionModel::Relative) => {
+                return Err(Rejection::invalid(
                     "motion",
                     "is relative, and the controller depends on its own speed",
-                )),
-                _ => Ok(()),
-            };
-        };
-        let is_relative = |input: &crate::reach::ControllerInput| {
-            let of = &input.coefficients;
-            let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION]
-                .iter()
-                .any(|&place| of[place] != 0.0);
-            let is_of_pair = of[OWN] + of[LEADER] == 0.0
-                && of[LEADER_ACCELERATION] == 0.0
-                && of[OWN_ACCELERATION] == 0.0;
-            if is_about_follower {
-                input.absent_value.is_some()
-            } else {
-                is_of_pair
+                ));
             }
+            (Self::Network(network, _), MotionModel::Relative) => network,
         };
         if network.inputs.iter().all(is_relative) {
             Ok(())

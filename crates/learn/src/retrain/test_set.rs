@@ -83,7 +83,8 @@ impl TestSetResults {
         contenders: &[NamedController],
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
-        let (space, wanted) = (&plan.spaces, plan.spaces.total(plan.settings.test_draws));
+        let space = &plan.spaces;
+        let wanted = space.total(plan.settings.test_draws);
         let mut evaluated = match work.read_json(name)? {
             Some(evaluated) => evaluated,
             None => Self {
@@ -104,14 +105,12 @@ impl TestSetResults {
                 wanted,
             })?;
             if corpus.avoidable < wanted {
-                let count = |contacts: &[Option<Contact>]| {
-                    tallies
-                        .iter_mut()
-                        .zip(contacts)
-                        .for_each(|(tally, contact)| tally.add(contact.as_ref()));
+                corpus.classify_next(space, wanted, contenders, plan.estimator(), |contacts| {
+                    for (tally, contact) in tallies.iter_mut().zip(contacts) {
+                        tally.add(contact.as_ref());
+                    }
                     pairs.add(contacts);
-                };
-                corpus.classify_next(space, wanted, contenders, plan.estimator(), count)?;
+                })?;
             } else {
                 corpus.seal(space)?;
             }
@@ -142,12 +141,12 @@ impl ControllerTally {
 
 impl PairedOutcomes {
     fn add(&mut self, contacts: &[Option<Contact>]) {
-        let collided = |index: usize| contacts.get(index).is_some_and(Option::is_some);
-        *match (collided(0), collided(1)) {
-            (true, true) => &mut self.both,
-            (true, false) => &mut self.first_only,
-            (false, true) => &mut self.retrained_only,
-            (false, false) => &mut self.neither,
+        let collided = [0, 1].map(|index| contacts.get(index).is_some_and(Option::is_some));
+        *match collided {
+            [true, true] => &mut self.both,
+            [true, false] => &mut self.first_only,
+            [false, true] => &mut self.retrained_only,
+            [false, false] => &mut self.neither,
         } += 1;
     }
 }

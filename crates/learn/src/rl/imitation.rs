@@ -19,7 +19,7 @@ use crumple_measure::EASY_BRAKE_MPS2;
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{Run, RunOptions};
 use crumple_sim::observation::EstimatorKind;
-use crumple_sim::policy::{FrameStack, Policy, Workspace};
+use crumple_sim::policy::{FrameStack, Network, Policy, Workspace};
 use crumple_sim::random::{self, Purpose};
 use crumple_sim::scenario::Scenario;
 
@@ -120,6 +120,30 @@ struct Rows {
     is_last: Vec<bool>,
     contacts: u64,
     episodes: u64,
+}
+
+impl Rows {
+    /// Appends the rows of an episode.
+    fn append(&mut self, of_episode: Self) {
+        self.states.extend(of_episode.states);
+        self.actions.extend(of_episode.actions);
+        self.weights.extend(of_episode.weights);
+        self.hard_actions.extend(of_episode.hard_actions);
+        self.is_last.extend(of_episode.is_last);
+        self.contacts += of_episode.contacts;
+    }
+
+    /// Drops the rows after the first `count`, with `state_width` numbers for each observation.
+    fn truncate(&mut self, count: usize, state_width: usize) {
+        self.actions.truncate(count);
+        self.weights.truncate(count);
+        self.hard_actions.truncate(count);
+        self.is_last.truncate(count);
+        if let Some(last) = self.is_last.last_mut() {
+            *last = true;
+        }
+        self.states.truncate(count * state_width);
+    }
 }
 
 /// Rows of one step of the optimiser.
@@ -225,7 +249,8 @@ impl Trainer {
         let initial = initial.transpose()?;
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
-            let before = (rows.contacts, rows.episodes);
+            let contacts_before = rows.contacts;
+            let episodes_before = rows.episodes;
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
             let policy_drives = round > 0 || self.has_initial_policy;
             let driver = policy_drives
@@ -238,7 +263,8 @@ impl Trainer {
                 &mut rows,
             )?;
             let loss = self.fit(&imitation, &rows, round);
-            let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
+            let contacts = rows.contacts - contacts_before;
+            let episodes = rows.episodes - episodes_before;
             done(&ImitationRound {
                 round: round + 1,
                 rounds: imitation.rounds,
@@ -249,14 +275,7 @@ impl Trainer {
         }
         let actor = &mut self.learner.actor;
         if let Some(initial) = &initial {
-            for (new, &old) in actor
-                .network
-                .parameters_mut()
-                .iter_mut()
-                .zip(initial.network().parameters())
-            {
-                *new = 0.5 * *new + 0.5 * old;
-            }
+            average_parameters(&mut actor.network, initial.network());
         }
         actor.target = actor.network.clone();
         Ok(())
@@ -295,24 +314,11 @@ impl Trainer {
                 Ok(rows)
             });
             for of_episode in driven.collect::<Result<Vec<_>, TrainingError>>()? {
-                rows.states.extend(of_episode.states);
-                rows.actions.extend(of_episode.actions);
-                rows.weights.extend(of_episode.weights);
-                rows.hard_actions.extend(of_episode.hard_actions);
-                rows.is_last.extend(of_episode.is_last);
-                rows.contacts += of_episode.contacts;
+                rows.append(of_episode);
             }
             rows.episodes += EPISODES_AT_ONCE;
         }
-        rows.actions.truncate(wanted as usize);
-        rows.weights.truncate(wanted as usize);
-        rows.hard_actions.truncate(wanted as usize);
-        rows.is_last.truncate(wanted as usize);
-        if let Some(last) = rows.is_last.last_mut() {
-            *last = true;
-        }
-        rows.states
-            .truncate(wanted as usize * self.config.environment.observation.width());
+        rows.truncate(wanted as usize, self.config.environment.observation.width());
         Ok(())
     }
 
@@ -357,10 +363,18 @@ impl Trainer {
     }
 }
 
+/// Replaces each parameter by its mean with that of another network.
+fn average_parameters(network: &mut Network, other: &Network) {
+    for (parameter, &other) in network.parameters_mut().iter_mut().zip(other.parameters()) {
+        *parameter = 0.5 * *parameter + 0.5 * other;
+    }
+}
+
 /// Drives an episode and records the actions of the expert, or of `instead`.
 fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>, instead: Option<&Policy>) -> Rows {
-    let (mut past, mut space, mut rows) =
-        (FrameStack::default(), Workspace::default(), Rows::default());
+    let mut past = FrameStack::default();
+    let mut space = Workspace::default();
+    let mut rows = Rows::default();
     loop {
         let state = episode.observe(&mut past);
         rows.states.extend_from_slice(state);

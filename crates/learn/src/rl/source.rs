@@ -123,10 +123,11 @@ impl ScenarioSource for SourceMixture {
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
-        let (first, otherwise) = (source_name(&self.first)?, source_name(&self.second)?);
         Ok(Some(format!(
-            "a share of {} of {first}, otherwise {otherwise}",
-            self.first_share
+            "a share of {} of {}, otherwise {}",
+            self.first_share,
+            source_name(&self.first)?,
+            source_name(&self.second)?
         )))
     }
 }
@@ -195,10 +196,12 @@ impl ScenarioSource for CaseMixture {
         for case in &self.cases {
             digest.update(serde_json::to_string(case.spec())?);
         }
-        let (digest, otherwise) = (digest.hexadecimal(), source_name(&self.base)?);
-        let (share, count) = (self.case_share, self.cases.len());
         Ok(Some(format!(
-            "a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"
+            "a share of {} of {} cases (sha256 {}), otherwise {}",
+            self.case_share,
+            self.cases.len(),
+            digest.hexadecimal(),
+            source_name(&self.base)?
         )))
     }
 }

@@ -93,21 +93,6 @@ impl TuningReport {
         test: Vec<ControllerScore>,
     ) -> Result<Self, TuneError> {
         let default = BuiltInController::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
-        let setting = |((field, tuned), (_, default)): ((&'static _, f64), (_, f64))| {
-            let field: &crumple_sim::control::SettingField = field;
-            let searched = plan
-                .search
-                .searched()
-                .iter()
-                .find(|searched| searched.field.name == field.name);
-            TunedSetting {
-                name: field.name.to_owned(),
-                unit: field.unit().to_owned(),
-                range: searched.map(|searched| searched.range),
-                default,
-                tuned,
-            }
-        };
         Ok(Self {
             version: TUNE_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
@@ -118,10 +103,24 @@ impl TuningReport {
             spaces: plan
                 .spaces
                 .iter()
-                .map(|one| one.space.name().to_owned())
+                .map(|tuning_space| tuning_space.space.name().to_owned())
                 .collect(),
-            weights: plan.spaces.iter().map(|one| one.weight).collect(),
-            settings: tuned.values().zip(default.values()).map(setting).collect(),
+            weights: plan
+                .spaces
+                .iter()
+                .map(|tuning_space| tuning_space.weight)
+                .collect(),
+            settings: tuned
+                .values()
+                .zip(default.values())
+                .map(|((field, tuned), (_, default))| TunedSetting {
+                    name: field.name.to_owned(),
+                    unit: field.unit().to_owned(),
+                    range: plan.search.searched_range(field),
+                    default,
+                    tuned,
+                })
+                .collect(),
             finalists,
             test,
         })

@@ -336,7 +336,8 @@ fn a_step_of_a_modelled_follower_is_the_closed_form() {
         ..VehicleState::default()
     };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
-    let (later, asked) = behind.advance(&own, &ego);
+    let asked = behind.acceleration_behind(&ego, &own);
+    let later = behind.advance(&own, &asked);
     let u = acc_acceleration(&ACC, [22.0, 15.0, 14.0]);
     assert_bounds(asked.range(), [u; 2], 1e-8);
     assert_bounds(later.distance.range(), [7.0 + 1.5 + 0.005 * u; 2], 1e-8);

@@ -176,26 +176,41 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     assert_eq!(firing([8.1, 9.0], [10.0; 2], 0.0), None);
     assert_eq!(
         firing([7.9, 9.0], [10.0; 2], 0.0),
-        Some(([8.0, 11.0], false))
+        Some(Firing {
+            instants: [8.0, 11.0],
+            is_certain: false
+        })
     );
     assert_eq!(firing([0.0, 0.0], [0.0; 2], 0.0), None);
     // Both stand at a gap of 0 or less.
     assert_eq!(
         firing([0.0, 1.0], [0.0; 2], 0.0),
-        Some(([8.0, 11.0], false))
+        Some(Firing {
+            instants: [8.0, 11.0],
+            is_certain: false
+        })
     );
     assert_eq!(
         firing([-1.0, -0.5], [0.0; 2], 0.0),
-        Some(([8.0, 8.0], true))
+        Some(Firing {
+            instants: [8.0, 8.0],
+            is_certain: true
+        })
     );
     // The ego brakes at 1 m/s² from 10 m/s, and the guard falls by 0.2 m/s and more: at 8.1 m it is 0.1 m at first.
     assert_eq!(
         firing([8.1, 8.1], [10.0; 2], -1.0),
-        Some(([9.0, 9.0], true))
+        Some(Firing {
+            instants: [9.0, 9.0],
+            is_certain: true
+        })
     );
     assert_eq!(
         firing([8.1, 9.9], [10.0; 2], -1.0),
-        Some(([9.0, 11.0], false))
+        Some(Firing {
+            instants: [9.0, 11.0],
+            is_certain: false
+        })
     );
 }
 
@@ -223,7 +238,10 @@ fn the_gap_to_a_modelled_follower_is_bounded_in_each_step() {
             .unwrap()
     };
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
-        let (follower, least_m) = follow(mps2);
+        let DrivenFollower {
+            state: follower,
+            min_gap_m: least_m,
+        } = follow(mps2);
         let gap = 10.0 - 5.0 * 0.3 + 0.5 * (mps2 + 6.0) * 0.09;
         assert!(
             (least_m - (gap - m * 0.01 / 8.0)).abs() < 1e-10,

@@ -31,20 +31,23 @@ impl<'s> EpisodeSetup<'s> {
     ) -> Result<Self, TrainingError> {
         let config = &trainer.config;
         let index = trainer.episode;
-        let stream = |purpose| random::stream(trainer.seed, purpose, index);
         let privileged = config.learning.privileged_critic.then(|| {
             let cost_multiplier = trainer.source.cost_multiplier(draws_seed, index);
             PrivilegedInfo::new(scenario, cost_multiplier)
         });
         Ok(Self {
             episode: start_episode(trainer, scenario, draws_seed)?,
-            exploration: Exploration::new(config, index, stream(Purpose::Exploration)),
+            exploration: Exploration::new(
+                config,
+                index,
+                random::stream(trainer.seed, Purpose::Exploration, index),
+            ),
             privileged: PrivilegedPair {
                 info: privileged,
                 numbers: Vec::new(),
             },
-            replay_draws: stream(Purpose::ReplaySampling),
-            target_noise: stream(Purpose::TargetNoise),
+            replay_draws: random::stream(trainer.seed, Purpose::ReplaySampling, index),
+            target_noise: random::stream(trainer.seed, Purpose::TargetNoise, index),
         })
     }
 }
