@@ -102,14 +102,11 @@ pub(crate) fn exception_at(
     error: &impl std::fmt::Display,
     (file, line, field): ErrorLocation<'_>,
 ) -> PyErr {
-    let shorten = |text: &str| shorten_message(text).into_owned();
-    let (file, field) = (
-        file.map(|file| file.display().to_string()),
-        field.map(shorten),
-    );
-    let made = py
-        .import("crumple.errors")
+    let message = shorten_message(&error.to_string()).into_owned();
+    let file = file.map(|file| file.display().to_string());
+    let field = field.map(|field| shorten_message(field).into_owned());
+    py.import("crumple.errors")
         .and_then(|module| module.getattr(format!("{class:?}Error")))
-        .and_then(|class| class.call1((shorten(&error.to_string()), file, line, field)));
-    made.map_or_else(|error| error, PyErr::from_value)
+        .and_then(|class| class.call1((message, file, line, field)))
+        .map_or_else(|error| error, PyErr::from_value)
 }

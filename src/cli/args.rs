@@ -49,13 +49,12 @@ pub(super) fn load_scenario(path: &Path, controllers: Controllers) -> Result<Sce
                 name: driver.path().to_owned(),
                 source: controller.clone(),
             };
-            let message = |error| {
+            named.try_start().map_err(|error| {
                 CliError::Input(format!(
                     "{}: vehicles[{index}].driver: {error}",
                     path.display()
                 ))
-            };
-            named.try_start().map_err(message)?;
+            })?;
             remember(named);
         }
     }
@@ -67,10 +66,15 @@ pub(super) fn whole_number<T: TryFrom<u64>>(
     range: RangeInclusive<u64>,
 ) -> impl Fn(&str) -> Result<T, String> + Clone {
     move |words| {
-        let (low, high) = (range.start(), range.end());
         let number = words.parse().ok().filter(|number| range.contains(number));
         let converted = number.and_then(|number| T::try_from(number).ok());
-        converted.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
+        converted.ok_or_else(|| {
+            format!(
+                "must be a whole number from {} to {}",
+                range.start(),
+                range.end()
+            )
+        })
     }
 }
 

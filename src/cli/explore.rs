@@ -73,7 +73,8 @@ impl Explore {
             offer.scenarios.push(CatalogScenario { name, scenario });
         }
         let server = Server::bind(self.port, offer)?;
-        let (address, port) = (server.url(), server.port());
+        let address = server.url();
+        let port = server.port();
         let page = format!("{address}{page}");
         let words = format!("{page}\n");
         output::print_result(

@@ -111,18 +111,19 @@ fn examine_folder(folder: &Path) -> Result<FolderReport, CliError> {
 
 /// Returns the run folders in a folder of trainings, one per seed; otherwise the folder itself.
 fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
-    let is_seed = |path: &PathBuf| {
-        path.is_dir()
-            && path
-                .file_name()
-                .is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
-    };
     let inner = fs::read_dir(folder)
         .into_iter()
         .flatten()
         .flatten()
         .map(|entry| entry.path());
-    let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
+    let mut seeds: Vec<PathBuf> = inner
+        .filter(|path| {
+            path.is_dir()
+                && path
+                    .file_name()
+                    .is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
+        })
+        .collect();
     seeds.sort_unstable();
     if seeds.is_empty() || is_run_folder(folder) {
         vec![folder.to_owned()]

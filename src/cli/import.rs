@@ -312,14 +312,10 @@ impl Import {
     fn count_other_scenarios(&self, written: &[String]) -> Result<usize, CliError> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written: HashSet<_> = written.iter().map(OsStr::new).collect();
-        let is_scenario = |path: &PathBuf| {
+        let others = entries.flatten().map(|entry| entry.path()).filter(|path| {
             path.extension()
                 .is_some_and(|extension| extension == "toml")
-        };
-        let others = entries
-            .flatten()
-            .map(|entry| entry.path())
-            .filter(is_scenario);
+        });
         Ok(others
             .filter(|path| path.file_name().is_some_and(|name| !written.contains(name)))
             .count())

@@ -81,28 +81,18 @@ const VERDICTS: &[(&str, AnsiColor)] = &[
 ];
 
 fn colour_verdict(line: &str) -> String {
-    let stands_alone = |at: usize, word: &str| {
-        let is_letter = |letter: char| letter.is_alphanumeric() || letter == '-' || letter == '_';
-        let before = line.get(..at).and_then(|before| before.chars().next_back());
-        let after = line
-            .get(at + word.len()..)
-            .and_then(|after| after.chars().next());
-        !before.is_some_and(is_letter) && !after.is_some_and(is_letter)
-    };
-    let found = VERDICTS.iter().filter_map(|(word, colour)| {
+    let verdicts = VERDICTS.iter().filter_map(|(word, colour)| {
         let at = line
             .match_indices(word)
             .map(|(at, _)| at)
-            .find(|at| stands_alone(*at, word))?;
+            .find(|at| is_whole_word(line, *at, word.len()))?;
         Some((at, *word, *colour))
     });
-    match found.min_by_key(|(at, ..)| *at) {
+    match verdicts.min_by_key(|(at, ..)| *at) {
         None => line.to_owned(),
         Some((at, word, colour)) => {
-            let (before, after) = (
-                line.get(..at).unwrap_or_default(),
-                line.get(at + word.len()..).unwrap_or_default(),
-            );
+            let before = line.get(..at).unwrap_or_default();
+            let after = line.get(at + word.len()..).unwrap_or_default();
             // A good verdict about some of several results is not one about all.
             let is_partial = colour == AnsiColor::Green
                 && share_in(before).is_some_and(|[count, all]| count < all);
@@ -117,14 +107,27 @@ fn colour_verdict(line: &str) -> String {
     }
 }
 
+/// Returns true if a part of a line is not part of a longer word.
+fn is_whole_word(line: &str, start: usize, length: usize) -> bool {
+    let before = line
+        .get(..start)
+        .and_then(|before| before.chars().next_back());
+    let after = line
+        .get(start + length..)
+        .and_then(|after| after.chars().next());
+    [before, after]
+        .into_iter()
+        .flatten()
+        .all(|letter| !(letter.is_alphanumeric() || letter == '-' || letter == '_'))
+}
+
 /// Returns the last share `COUNT of ALL` in a text.
 fn share_in(text: &str) -> Option<[u64; 2]> {
     let words: Vec<&str> = text.split_whitespace().collect();
-    let share = |words: &[&str]| match words {
+    words.windows(3).rev().find_map(|words| match words {
         [count, "of", all] => Some([count.parse().ok()?, all.parse().ok()?]),
         _ => None,
-    };
-    words.windows(3).rev().find_map(share)
+    })
 }
 
 pub(super) fn print_result(

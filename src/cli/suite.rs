@@ -102,13 +102,12 @@ impl SuiteTable {
             self.controllers
         };
         check_unique_names(&controllers)?;
-        let run = |(name, _): &(&str, &str)| {
-            run(&find_suite(Path::new(name))?, &controllers, self.estimator)
-                .map_err(CliError::input)
-        };
         let results = SHIPPED_SUITES
             .iter()
-            .map(run)
+            .map(|(name, _)| {
+                run(&find_suite(Path::new(name))?, &controllers, self.estimator)
+                    .map_err(CliError::input)
+            })
             .collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
             OutputFormat::Json => results.iter().try_for_each(output::print_json),
@@ -238,12 +237,13 @@ fn render(
     out: Option<&Path>,
     format: SuiteFormat,
 ) -> Result<String, CliError> {
-    let replay = |failed: &FailedPoint, tested: &ControllerResult| {
-        failed.replay_command(out?, &tested.controller, result.estimator)
-    };
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
-        SuiteFormat::Text => suite::render_text(result, replay),
+        SuiteFormat::Text => {
+            suite::render_text(result, |failed: &FailedPoint, tested: &ControllerResult| {
+                failed.replay_command(out?, &tested.controller, result.estimator)
+            })
+        }
     })
 }

@@ -125,7 +125,7 @@ impl Claim for AvoidableClaim {
             self.scene.instant_count() * self.scene.vehicle_count() * OPS_PER_STEP,
         )?;
         check_profiles(self)?;
-        let Replay {
+        let EscapeReplay {
             smallest_gap_m,
             after_horizon,
         } = replay(self)?;
@@ -166,13 +166,15 @@ fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Res
 }
 
 /// Result of the simulation of an escape.
-struct Replay {
+struct EscapeReplay {
     /// Lower bound of all gaps at all times, in metres.
     smallest_gap_m: f64,
     after_horizon: SafetyAfterHorizon,
 }
 
-fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<Replay, Rejection> {
+fn replay(
+    AvoidableClaim { scene, witness, .. }: &AvoidableClaim,
+) -> Result<EscapeReplay, Rejection> {
     let profiles: Vec<Vec<Interval>> =
         std::iter::once(expand_pieces(&scene.leader.acceleration_mps2).collect())
             .chain(
@@ -218,7 +220,7 @@ fn replay(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Result<Repl
         }
         before = now;
     }
-    Ok(Replay {
+    Ok(EscapeReplay {
         smallest_gap_m,
         after_horizon: safety_after_horizon(scene, &line, fires, &before),
     })

@@ -138,25 +138,7 @@ impl Claim for KernelClaim {
             c: &c,
             stopping_coefficients: [&p, &q],
         };
-        let cases = match (r, b > c) {
-            (Some(r), true) => [
-                &limits.last_stop_cases()[..],
-                &[limits.harder_braking_case()],
-                &limits.catching_up_cases(&r),
-            ]
-            .concat(),
-            (None, false) => [
-                &limits.last_stop_cases()[..],
-                &limits.softer_braking_cases(),
-            ]
-            .concat(),
-            _ => {
-                return Err(Rejection::invalid(
-                    "catching_up_squared",
-                    "must be present exactly if b > c",
-                ));
-            }
-        };
+        let cases = limits.cases(r.as_ref())?;
         match cases.into_iter().find(|case| !case.holds()) {
             Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),
             None => Ok(ProvedClaim::Kernel),
@@ -244,6 +226,25 @@ impl BrakeLimits<'_> {
         let w = self.c * b;
         &(self.stopping_coefficients[0] * &v.squared())
             + &(self.stopping_coefficients[1] * &w.squared())
+    }
+
+    /// Returns all cases, with the coefficient r if b > c.
+    fn cases(&self, r: Option<&BigRational>) -> Result<Vec<ProofCase>, Rejection> {
+        match (r, self.b > self.c) {
+            (Some(r), true) => Ok([
+                &self.last_stop_cases()[..],
+                &[self.harder_braking_case()],
+                &self.catching_up_cases(r),
+            ]
+            .concat()),
+            (None, false) => {
+                Ok([&self.last_stop_cases()[..], &self.softer_braking_cases()].concat())
+            }
+            _ => Err(Rejection::invalid(
+                "catching_up_squared",
+                "must be present exactly if b > c",
+            )),
+        }
     }
 
     /// S is the final value of closing, and bounds it from the leader's stop on; A and B in any order.

@@ -33,16 +33,17 @@ fn evaluate(formula: &Formula, point: &[f64]) -> Result<(f64, bool), ExperimentE
 }
 
 fn problems() -> Result<Vec<Problem<'static>>, ExperimentError> {
-    let problem = |(name, text): (&str, &str)| {
-        let formula: Formula = text.parse()?;
-        let evaluate = move |point: &[f64]| evaluate(&formula, point);
-        Ok(Problem {
-            name: name.to_owned(),
-            cube: UnitCube::new([PIECES, PIECES])?,
-            evaluate: Box::new(evaluate),
+    SPECIFICATIONS
+        .into_iter()
+        .map(|(name, text)| {
+            let formula: Formula = text.parse()?;
+            Ok(Problem {
+                name: name.to_owned(),
+                cube: UnitCube::new([PIECES, PIECES])?,
+                evaluate: Box::new(move |point: &[f64]| evaluate(&formula, point)),
+            })
         })
-    };
-    SPECIFICATIONS.into_iter().map(problem).collect()
+        .collect()
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {

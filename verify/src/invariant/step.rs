@@ -113,12 +113,7 @@ impl ClosedLoop<'_> {
             return Ok(());
         }
         let [own, leader] = of_axis;
-        let mut observed = [gap, own, leader];
-        observed
-            .iter_mut()
-            .zip(self.error)
-            .for_each(|(form, error)| form.widen(error));
-        let command = self.command.range(&observed, self.own_mps2, self.budget);
+        let command = self.command_range([gap, own, leader]);
         let missing_m = self.missing_m(table, &part.ranges(table), command, part.above_m.low());
         if missing_m <= 0.0 {
             return Ok(());
@@ -304,15 +299,17 @@ impl ClosedLoop<'_> {
             return true;
         }
         let gap = Interval::new(table.extremes()[0], farthest_m).unwrap_or(Interval::ENTIRE);
-        let mut observed = [gap, speeds, table.axes()[1].range()].map(AffineForm::constant);
+        let observed = [gap, speeds, table.axes()[1].range()].map(AffineForm::constant);
+        self.command_range(observed).high() <= 0.0
+    }
+
+    /// Bounds the command for a gap, own and leader's speed that are observed with errors.
+    fn command_range(&self, mut observed: [AffineForm; 3]) -> Interval {
         observed
             .iter_mut()
             .zip(self.error)
             .for_each(|(form, error)| form.widen(error));
-        self.command
-            .range(&observed, self.own_mps2, self.budget)
-            .high()
-            <= 0.0
+        self.command.range(&observed, self.own_mps2, self.budget)
     }
 }
 

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
+use super::SearchedSpaces;
 use super::corpus::Corpus;
 use super::plan::{RetrainingPlan, TEST_SET_SEED};
 use super::progress::{RetrainingObserver, RetrainingProgress};
@@ -76,6 +77,14 @@ pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
 }
 
 impl TestSetResults {
+    fn empty(space: &SearchedSpaces, contenders: &[NamedController]) -> Result<Self, RetrainError> {
+        Ok(Self {
+            corpus: Corpus::empty(space, TEST_SET_SEED)?,
+            tallies: contenders.iter().map(ControllerTally::new).collect(),
+            pairs: PairedOutcomes::default(),
+        })
+    }
+
     /// Reads the results from a file, or completes them first. Compares the first two contenders.
     pub(super) fn load_or_evaluate(
         (work, name): (&RunFolder, &'static str),
@@ -87,11 +96,7 @@ impl TestSetResults {
         let wanted = space.total(plan.settings.test_draws);
         let mut evaluated = match work.read_json(name)? {
             Some(evaluated) => evaluated,
-            None => Self {
-                corpus: Corpus::empty(space, TEST_SET_SEED)?,
-                tallies: contenders.iter().map(ControllerTally::new).collect(),
-                pairs: PairedOutcomes::default(),
-            },
+            None => Self::empty(space, contenders)?,
         };
         while evaluated.corpus.scenarios_sha256.is_empty() {
             let Self {

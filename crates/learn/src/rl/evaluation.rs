@@ -145,17 +145,16 @@ impl EvaluationSet {
     /// # Errors
     /// [`RunError::DecisionInterval`] if the policy's decision interval does not fit the scenarios' step.
     pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<PolicyEvaluation, RunError> {
-        let estimator = self.environment.estimator;
         let mut is_safe_in_paper = [true; 3];
         let mut smallest_gap_m = f64::INFINITY;
-        for in_paper in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let driven = drive(&self.paper, policy, in_paper)?;
+        for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+            let driven = drive(&self.paper, policy, estimator)?;
             for (safe, run) in is_safe_in_paper.iter_mut().zip(&driven) {
                 *safe &= run.contact_s.is_none();
             }
             smallest_gap_m = smallest_gap_m.min(min_gap_m(&driven));
         }
-        let draws = drive(&self.screening, policy, estimator)?;
+        let draws = drive(&self.screening, policy, self.environment.estimator)?;
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
         let mut evaluation = PolicyEvaluation {
             is_safe_in_paper,
@@ -172,18 +171,28 @@ impl EvaluationSet {
             .take(self.required_paper_scenarios)
             .all(|&safe| safe);
         if safe == draws.len() && is_safe && !self.ranking.is_empty() {
-            let ranked = drive(&self.ranking, policy, estimator)?;
-            let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
-            evaluation.ranking_contacts = Some(contacts as u64);
-            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
-            if let Some(traffic) = &self.traffic {
-                let useful = traffic.evaluate(&Arc::clone(policy).into_source())?;
-                evaluation.usefulness = Some(useful);
-                let contact_share = contacts as f64 / ranked.len() as f64;
-                evaluation.combined_penalty = Some(contact_share + useful.penalty());
-            }
+            self.rank(policy, &mut evaluation)?;
         }
         Ok(evaluation)
+    }
+
+    /// Simulates a policy in the ranking scenarios and in traffic, and adds the results.
+    fn rank(
+        &self,
+        policy: &Arc<Policy>,
+        evaluation: &mut PolicyEvaluation,
+    ) -> Result<(), RunError> {
+        let ranked = drive(&self.ranking, policy, self.environment.estimator)?;
+        let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
+        evaluation.ranking_contacts = Some(contacts as u64);
+        evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
+        if let Some(traffic) = &self.traffic {
+            let usefulness = traffic.evaluate(&Arc::clone(policy).into_source())?;
+            evaluation.usefulness = Some(usefulness);
+            let contact_share = contacts as f64 / ranked.len() as f64;
+            evaluation.combined_penalty = Some(contact_share + usefulness.penalty());
+        }
+        Ok(())
     }
 
     /// Returns the paper's reward of a run of 1500 steps.

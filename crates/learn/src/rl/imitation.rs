@@ -243,19 +243,13 @@ impl Trainer {
         let Some(imitation) = self.config.imitation.clone() else {
             return Ok(());
         };
-        let initial = self
-            .has_initial_policy
-            .then(|| self.build_policy(self.learner.actor.network.clone(), 0));
-        let initial = initial.transpose()?;
+        let initial = self.actor_if(self.has_initial_policy)?;
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
             let contacts_before = rows.contacts;
             let episodes_before = rows.episodes;
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
-            let policy_drives = round > 0 || self.has_initial_policy;
-            let driver = policy_drives
-                .then(|| self.build_policy(self.learner.actor.network.clone(), 0))
-                .transpose()?;
+            let driver = self.actor_if(round > 0 || self.has_initial_policy)?;
             self.collect(
                 &imitation,
                 [driver.as_ref(), initial.as_ref()],
@@ -279,6 +273,13 @@ impl Trainer {
         }
         actor.target = actor.network.clone();
         Ok(())
+    }
+
+    /// Returns the actor as a policy if a condition holds.
+    fn actor_if(&self, condition: bool) -> Result<Option<Policy>, TrainingError> {
+        condition
+            .then(|| self.build_policy(self.learner.actor.network.clone(), 0))
+            .transpose()
     }
 
     /// Adds rows until there are `wanted`. Without a `driver` the expert drives. The `initial` policy, if any, replaces

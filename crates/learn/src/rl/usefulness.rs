@@ -91,6 +91,24 @@ struct TrafficTally {
 }
 
 impl TrafficTally {
+    /// Simulates runs and adds up their measures.
+    fn from_runs(runs: &[Run]) -> Self {
+        let drives = simulate_batch(runs, RecordingLevel::Trace, |_, result| {
+            (
+                result.outcome.contact().is_some(),
+                measure_usefulness(&result),
+            )
+        });
+        let mut tally = Self::default();
+        for (collided, measures) in drives {
+            tally.contacts += u64::from(collided);
+            if let Some(measures) = measures {
+                tally.add(&measures);
+            }
+        }
+        tally
+    }
+
     fn add(&mut self, measures: &UsefulnessMeasures) {
         self.hard_braking += u64::from(!measures.hard.is_empty());
         self.sum_squares[0] += measures.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
@@ -134,19 +152,7 @@ impl TrafficBenchmark {
             .iter()
             .map(|scenario| Run::new(scenario, options.clone()))
             .collect::<Result<Vec<_>, _>>()?;
-        let drives = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            (
-                result.outcome.contact().is_some(),
-                measure_usefulness(&result),
-            )
-        });
-        let mut tally = TrafficTally::default();
-        for (collided, measures) in drives {
-            tally.contacts += u64::from(collided);
-            if let Some(measures) = measures {
-                tally.add(&measures);
-            }
-        }
+        let tally = TrafficTally::from_runs(&runs);
         let [acceleration, jerk] = tally
             .sum_squares
             .map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());

@@ -25,6 +25,17 @@ pub struct SearchedSetting {
 }
 
 impl SearchedSetting {
+    /// Sets a value outside the range to the middle of it.
+    fn move_into_range(&self, controller: &mut BuiltInController) {
+        let [low, high] = self.range;
+        if let Some(value) = controller
+            .get_mut(self.index)
+            .filter(|value| !(low..=high).contains(&**value))
+        {
+            *value = self.value(0.5);
+        }
+    }
+
     /// Returns the value at a coordinate in [0, 1], in the unit of the setting.
     ///
     /// Search methods start at 0.5, which is the initial value unless that is outside the range. Values are rounded to
@@ -104,13 +115,7 @@ impl SettingSearch {
             return Err(TuneError::AllFixed(controller.to_owned()));
         }
         for setting in &searched {
-            let [low, high] = setting.range;
-            if let Some(value) = initial
-                .get_mut(setting.index)
-                .filter(|value| !(low..=high).contains(&**value))
-            {
-                *value = setting.value(0.5);
-            }
+            setting.move_into_range(&mut initial);
         }
         Ok(Self { initial, searched })
     }

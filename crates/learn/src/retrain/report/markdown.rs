@@ -7,8 +7,9 @@ use super::super::acceptance::{
 };
 use super::super::plan::RetrainingSettings;
 use super::super::regression_spaces::SIGNIFICANCE;
+use super::super::round::Round;
 use super::super::search::RoundFindings;
-use super::super::test_set::{CONFIDENCE, PairedOutcomes};
+use super::super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes};
 use super::{FileHash, RetrainingEnding, RetrainingReport};
 use crate::rl::TrafficUsefulness;
 use crumple_core::digits::format_rounded;
@@ -144,18 +145,7 @@ impl RetrainingReport {
             "rate",
             &format!("exact {:.0} % interval", 100.0 * CONFIDENCE),
         ];
-        let rows = self.tallies.iter().map(|tally| {
-            let RateInterval { lower, upper } = tally.interval(runs);
-            let rate = tally.contacts as f64 / runs.max(1) as f64;
-            vec![
-                tally.controller.clone(),
-                tally.contacts.to_string(),
-                tally.into_the_leader.to_string(),
-                (tally.contacts - tally.into_the_leader).to_string(),
-                format!("{:.3} %", 100.0 * rate),
-                format!("{:.3} to {:.3} %", 100.0 * lower, 100.0 * upper),
-            ]
-        });
+        let rows = self.tallies.iter().map(|tally| tally_row(tally, runs));
         write_table(out, &header, rows);
         let PairedOutcomes {
             both,
@@ -231,35 +221,51 @@ impl RetrainingReport {
             "paper's distribution",
             "acceptance",
         ];
-        let rows = self.rounds.iter().map(|round| {
-            let RoundFindings {
-                avoidable,
-                unavoidable,
-                undecided,
-                colliding_draws,
-                avoidable_draws,
-                ..
-            } = &round.findings;
-            let distinct = avoidable + unavoidable + undecided;
-            // An imitation has a single checkpoint.
-            let episodes = match round.training.to_episode {
-                0 => "–".to_owned(),
-                last => format!("{last} ({})", round.training.best_episode),
-            };
-            vec![
-                round.round.to_string(),
-                format!("{distinct} ({avoidable}, {unavoidable}, {undecided})"),
-                format!("{colliding_draws} ({})", avoidable_draws.indices.len()),
-                episodes,
-                round.in_cases.to_string(),
-                round.in_validation_set.to_string(),
-                round.in_paper.to_string(),
-                round.in_nominal.to_string(),
-                round.acceptance.to_string(),
-            ]
-        });
-        write_table(out, &header, rows);
+        write_table(out, &header, self.rounds.iter().map(round_row));
     }
+}
+
+/// Returns the row of a round.
+fn round_row(round: &Round) -> Vec<String> {
+    let RoundFindings {
+        avoidable,
+        unavoidable,
+        undecided,
+        colliding_draws,
+        avoidable_draws,
+        ..
+    } = &round.findings;
+    let distinct = avoidable + unavoidable + undecided;
+    // An imitation has a single checkpoint.
+    let episodes = match round.training.to_episode {
+        0 => "–".to_owned(),
+        last => format!("{last} ({})", round.training.best_episode),
+    };
+    vec![
+        round.round.to_string(),
+        format!("{distinct} ({avoidable}, {unavoidable}, {undecided})"),
+        format!("{colliding_draws} ({})", avoidable_draws.indices.len()),
+        episodes,
+        round.in_cases.to_string(),
+        round.in_validation_set.to_string(),
+        round.in_paper.to_string(),
+        round.in_nominal.to_string(),
+        round.acceptance.to_string(),
+    ]
+}
+
+/// Returns the row of a controller in a test set of `runs` scenarios.
+fn tally_row(tally: &ControllerTally, runs: u64) -> Vec<String> {
+    let RateInterval { lower, upper } = tally.interval(runs);
+    let rate = tally.contacts as f64 / runs.max(1) as f64;
+    vec![
+        tally.controller.clone(),
+        tally.contacts.to_string(),
+        tally.into_the_leader.to_string(),
+        (tally.contacts - tally.into_the_leader).to_string(),
+        format!("{:.3} %", 100.0 * rate),
+        format!("{:.3} to {:.3} %", 100.0 * lower, 100.0 * upper),
+    ]
 }
 
 /// Writes the measures of everyday traffic of both policies.
