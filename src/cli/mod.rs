@@ -333,7 +333,7 @@ mod tests {
 
     /// An error about a number says which numbers are right; those of Rust's parsers do not.
     #[test]
-    fn a_word_in_place_of_a_number_is_answered_with_the_numbers_that_are_right() {
+    fn the_error_of_a_number_names_its_range() {
         fn check(command: &clap::Command, path: &[&str], numbers: &mut usize) {
             for argument in command
                 .get_arguments()

@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn one_verdict_of_a_line_is_coloured_where_it_stands_alone() {
+    fn the_first_whole_verdict_of_a_line_is_coloured() {
         for (line, word) in [
             (
                 "  COLLISION at 1.23 s: vehicle 2 hits vehicle 1",

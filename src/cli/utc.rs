@@ -41,7 +41,7 @@ mod tests {
 
     /// Expected values by `date -u -d @SECONDS`.
     #[test]
-    fn times_are_those_of_the_calendar() {
+    fn time_stamps_agree_with_the_calendar() {
         for (seconds, expected) in [
             (0, "1970-01-01T00:00:00Z"),
             (951_782_399, "2000-02-28T23:59:59Z"),

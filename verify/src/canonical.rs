@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_occurs_twice_is_found_at_any_depth() {
+    fn a_duplicate_name_is_found_at_any_depth() {
         let read = |text: &str| {
             serde_json::from_str::<UniqueKeys>(text)
                 .map(|_| ())

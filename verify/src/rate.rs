@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn few_runs_are_a_factor_each_and_many_are_powers_of_two() {
+    fn the_binomial_tail_uses_powers_for_many_runs() {
         let times =
             |factor: f64, count: u32| (0..count).fold(1.0, |product, _| round_up(product * factor));
         let squared = |rate: f64, often: u32| {

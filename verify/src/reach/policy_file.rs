@@ -203,7 +203,7 @@ mod tests {
 
     /// Checks that an absent value means one, as in the simulator, and that null is rejected.
     #[test]
-    fn a_history_is_a_number_or_left_out() {
+    fn a_history_is_a_number_or_absent() {
         for field in ["history", "history_every"] {
             for (value, is_read) in [
                 (serde_json::json!(1), true),
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_is_as_deep_and_as_wide_as_is_allowed_and_no_more() {
+    fn limits_of_depth_and_width_are_exact() {
         for hidden in [
             vec![],
             vec![1; MAX_LAYERS],
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_of_an_action_have_a_difference_and_a_sum() {
+    fn action_bounds_must_have_a_finite_difference_and_sum() {
         let with = |low, high| {
             let evaluated = check_modified(|header| {
                 (header.action.low_mps2, header.action.high_mps2) = (low, high)

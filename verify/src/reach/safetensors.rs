@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_answer_is_a_sum_of_sizes() {
+    fn the_largest_output_is_a_sum_of_magnitudes() {
         let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
         for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
             assert_eq!(
@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tensor_is_of_the_type_and_the_shape_that_are_asked_for() {
+    fn a_tensor_must_have_the_requested_type_and_shape() {
         let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {
             let data: Vec<u8> = numbers
                 .iter()

@@ -135,7 +135,7 @@ proptest! {
 
     /// Checks the output of random networks and inputs against the affine form.
     #[test]
-    fn a_network_s_answers_are_in_its_bounds(
+    fn network_outputs_are_within_the_bounds(
         seed: u64, radii in prop::array::uniform8(0.0..0.5_f64),
         at in prop::collection::vec(prop::array::uniform8(-1.0..=1.0_f64), 10),
     ) {
@@ -624,7 +624,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn functions_of_forms_hold_the_values(
+    fn functions_of_forms_contain_the_values(
         centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64),
         at in prop::array::uniform3(-1.0..=1.0_f64),
     ) {

@@ -181,7 +181,7 @@ mod tests {
 
     /// Retraining on standing vehicles must not trade them for emergencies, in which `policy` collides.
     #[test]
-    fn standing_vehicles_are_not_bought_with_emergencies() {
+    fn standing_vehicles_are_not_traded_for_emergencies() {
         let first = Arc::new(Policy::from_bytes(RUNS_INTO_STANDING).unwrap());
         let plan = RetrainingPlan {
             initial_policy: Arc::clone(&first),

@@ -322,7 +322,7 @@ mod tests {
 
         /// The memory holds the last `capacity` transitions and finds collisions, also after a checkpoint.
         #[test]
-        fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
+        fn the_replay_buffer_keeps_the_last_transitions(capacity in 1..30_usize, count in 1..100_usize) {
             let mut replay = ReplayBuffer::new(capacity, LAYOUT);
             (0..count).for_each(|number| replay.push(&numbered_transition(number)));
             let kept = count.saturating_sub(capacity)..count;
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn draws_are_uniform_and_contacts_get_their_share() {
+    fn sampling_is_uniform_and_collisions_get_their_share() {
         let mut replay = ReplayBuffer::new(70, LAYOUT);
         (0..70).for_each(|number| replay.push(&numbered_transition(number)));
         let mut batch = Batch::default();

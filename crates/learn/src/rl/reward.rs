@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn each_term_by_hand() {
+    fn each_reward_term_equals_the_hand_computed_value() {
         let none = CostConfig::default;
         assert_eq!(relative_step_reward(none()), 1.0);
         let costs = |costs, by_hand: f64| {

@@ -232,7 +232,7 @@ mod tests {
     use crumple_sim::scenario::built_in_scenario;
 
     #[test]
-    fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {
+    fn cases_get_their_share_and_other_episodes_are_unchanged() {
         let cases = vec![
             built_in_scenario("paper-1").unwrap(),
             built_in_scenario("paper-2").unwrap(),
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blend_takes_its_share_of_each_source_as_it_is() {
+    fn a_source_mixture_takes_its_share_of_each_source_unchanged() {
         let space = crumple_spaces::built_in_space("high-risk").unwrap();
         let blend = SourceMixture::new(Arc::new(PaperSource), 0.25, Arc::new(space.clone()));
         let nominal = (0..2000).filter(|&index| {

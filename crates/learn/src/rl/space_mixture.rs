@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
+    fn each_space_gets_its_share_and_its_own_samples() {
         let spaces = [("traffic", 3.0), ("paper", 1.0), ("high-risk", 4.0)];
         let blend = SpaceMixture::new(
             &spaces.map(|(space, weight)| training_space(space, weight)),

@@ -115,7 +115,7 @@ proptest! {
     }
 
     #[test]
-    fn bent_activations_have_a_kink_inside(
+    fn an_activation_is_nonlinear_exactly_if_a_kink_is_inside(
         low in -3..4_i32, width in 0..4_i32, least in -2..3_i32, between in 0..3_i32,
         slope in prop::sample::select(vec![-0.5, 0.0, 0.1]),
     ) {
@@ -138,7 +138,7 @@ proptest! {
     }
 
     #[test]
-    fn the_largest_is_reached(each in any_activation()) {
+    fn the_magnitude_bound_is_reached(each in any_activation()) {
         let bound = 50.0;
         let reached = [-bound, bound].map(|x| evaluate(&each, x).abs()).into_iter().fold(0.0, f64::max);
         let largest = each.max_magnitude(0, bound);
@@ -146,7 +146,7 @@ proptest! {
     }
 
     #[test]
-    fn the_result_for_a_form_is_its_line(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
+    fn a_form_is_enclosed_by_its_relaxation(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
         let x = AffineForm::symbol(0, Interval::new(low, low + width).unwrap());
         let (line, made) = (each.relaxation(0, x.range().low(), x.range().high()), each.apply(0, &x));
         let (middle, radius) = line.middle_and_radius();
@@ -161,7 +161,7 @@ proptest! {
 
 /// Checks that lines without excess change nothing, to the bit.
 #[test]
-fn linear_pieces_are_unchanged() {
+fn linear_pieces_are_relaxed_without_error() {
     let one = |number: f64| vec![number];
     for each in [
         Activation::Relu,
@@ -219,7 +219,7 @@ fn linear_pieces_are_unchanged() {
 }
 
 #[test]
-fn numbers_have_as_many_operands_as_there_are() {
+fn an_activation_has_the_width_of_its_operands() {
     let numbers = vec![1.0, 2.0, 3.0];
     let clip = Activation::Clip {
         low: numbers.clone(),
@@ -246,7 +246,7 @@ fn numbers_have_as_many_operands_as_there_are() {
 
 /// exp costs ten times as much as a product; a ReLU is free, as it is merged with the layer before it.
 #[test]
-fn curved_activations_cost_most() {
+fn curved_activations_have_the_highest_cost() {
     assert_eq!(
         [
             Activation::Relu,
@@ -260,7 +260,7 @@ fn curved_activations_cost_most() {
 
 /// Small products lose more than in proportion; a quotient rounds on either side of its line.
 #[test]
-fn small_values_may_be_lost() {
+fn rounding_includes_underflow() {
     let least = f64::from(f32::from_bits(1));
     for (each, by) in [
         (Activation::LeakyRelu(0.25), 0.25),

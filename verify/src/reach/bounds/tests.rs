@@ -53,7 +53,7 @@ proptest! {
     /// Checks a ReLU of c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ against the chord; double precision adds 10⁻¹² of all
     /// sizes to ρ.
     #[test]
-    fn functions_of_numbers_equal_the_formula(
+    fn a_relu_of_bounds_equals_the_chord_formula(
         centres in any(1.0), terms in rows(0.5), rests in not_negative(0.1),
         centre in any(0.5), columns in rows(1.0), rho in not_negative(0.05), is_sure: bool,
     ) {
@@ -102,7 +102,7 @@ proptest! {
     }
 
     #[test]
-    fn a_product_makes_rounding_larger(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
+    fn a_product_increases_the_rounding_bound(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
         let mut found = NetworkBounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
         found.apply_activation(&Activation::Multiply(vec![factor]), &InputForms::new(&[]));
         let line = Activation::Multiply(vec![factor]).relaxation(0, centre - own, centre + own);
@@ -114,7 +114,7 @@ proptest! {
 
 /// The sum of roundings grows faster than their number: γ = n u / (1 - n u).
 #[test]
-fn a_wide_layer_rounds_more_than_in_proportion() {
+fn the_rounding_bound_grows_faster_than_the_width() {
     let (wide, u) = (1000_usize, 2.0_f64.powi(-24));
     let inputs: Vec<AffineForm> = (0..wide)
         .map(|i| {
@@ -168,7 +168,7 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
 }
 
 #[test]
-fn functions_may_follow_each_other() {
+fn consecutive_activations_are_bounded() {
     let inputs = input_forms(
         [0.0, 1.0, 2.0],
         [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]],

@@ -53,7 +53,7 @@ fn an_input_is_as_wide_as_its_observation_error_and_rounding() {
 }
 
 #[test]
-fn an_input_is_cut_and_may_be_absent() {
+fn an_input_is_clipped_and_may_be_absent() {
     let seen = observation_with(point_form(3.0), point_form(10.0));
     let at =
         |input: ControllerInput, is_followed| input.enclose(&seen, &NO_ERROR, is_followed).range();
@@ -125,7 +125,7 @@ fn a_sum_of_observations_is_off_by_one_rounding_of_double_precision() {
 }
 
 #[test]
-fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
+fn the_rounding_of_the_scaled_output_is_relative_to_its_terms() {
     let seen = observation_with(point_form(0.0), symbol_form(1, -5.0, 7.0));
     for (factors, constant, scale_mps2, offset_mps2) in [
         ([0.0, 1.0], 2.0, 3.0, -2.0),
@@ -229,7 +229,7 @@ fn min_operations(controller: &NeuralController) -> u64 {
 }
 
 #[test]
-fn functions_are_counted_for_each_number() {
+fn activations_are_charged_for_each_number() {
     let with = |each: usize| {
         let between = std::iter::repeat_n(
             NetworkLayer::Activation(Activation::Add(vec![0.25; 7])),

@@ -171,7 +171,7 @@ proptest! {
 
     /// The `idm` enclosure of a box of inputs is the narrower of form and interval, and a form keeps its symbols.
     #[test]
-    fn of_a_form_and_plain_numbers_the_narrower_counts(
+    fn idm_returns_the_narrower_of_form_and_interval(
         low in 0.02..30.0_f64, widths in prop::array::uniform3(prop_oneof![0.01..0.3_f64, 0.3..8.0_f64]),
         v in 0.5..25.0_f64, w in 0.0..25.0_f64, places in prop::array::uniform3(0.0..=1.0_f64),
     ) {
@@ -229,7 +229,7 @@ proptest! {
 
 /// A gap that may be below a centimetre gives the range from full braking to A.
 #[test]
-fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
+fn idm_is_unbounded_where_the_gap_may_be_zero() {
     let brake = symbol_form(6, BRAKE[0], BRAKE[1]);
     for low in [-1.0, 0.0, 0.01] {
         let seen = law_input(
@@ -247,7 +247,7 @@ fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
 
 /// If the emergency brake may fire, the range is from full braking to the command without it.
 #[test]
-fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
+fn where_the_emergency_brake_may_fire_any_braking_is_possible() {
     let (law, start_gap) = (
         FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }),
         AffineForm::default(),
@@ -282,7 +282,7 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
 
 /// A vehicle that may have stopped may have held no acceleration; a standing one does not reverse.
 #[test]
-fn an_observed_acceleration_is_one_that_may_be_held() {
+fn the_observed_acceleration_contains_every_possible_one() {
     let step = Interval::point(0.1);
     let at = |speed: AffineForm| VehicleState {
         speed,
@@ -451,7 +451,7 @@ fn a_follower_model_is_printed_with_all_numbers() {
 }
 
 #[test]
-fn on_an_open_road_only_the_fourth_power_remains() {
+fn idm_on_an_open_road_has_only_the_speed_term() {
     let seen = LawInput::new(point_form(1e9), point_form(6.0), point_form(6.0));
     let wanted = IDM.desired_acceleration(&seen, &point_form(8.0)).range();
     assert_bounds(

@@ -68,7 +68,7 @@ fn moving_members_are_propagated() {
 
 /// Checks that a long standstill costs no more than a short one, and that observations stay constant after two steps.
 #[test]
-fn once_all_stand_nothing_is_left_to_do() {
+fn propagation_ends_once_all_vehicles_stand() {
     let controller = constant_controller(-1.0);
     let stands = default_problem(
         &controller,
@@ -90,7 +90,7 @@ fn once_all_stand_nothing_is_left_to_do() {
 }
 
 #[test]
-fn an_instant_has_a_symbol_of_its_own() {
+fn the_firing_instant_has_its_own_symbol() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = ReachProblem {
         follower: LATCHED,
@@ -300,7 +300,7 @@ fn gaps_are_bounded_between_decisions() {
 
 /// A gap of exactly 0 is undecided, no sure collision.
 #[test]
-fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
+fn a_gap_of_zero_is_undecided_and_no_certain_collision() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = default_problem(&controller, point_box([0.0; 8]));
     let mut analysis = ReachAnalysis::new(&scene, &work, None);
@@ -322,7 +322,7 @@ fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
 }
 
 #[test]
-fn too_many_windows_are_given_up() {
+fn too_many_windows_are_undecided() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     for (counts, goes_on) in [
         (&[MAX_WINDOWS][..], true),

@@ -130,7 +130,7 @@ proptest! {
 }
 
 #[test]
-fn far_out_a_function_is_its_limit() {
+fn functions_reach_their_limits_far_from_zero() {
     let one = Interval::new((1.0 - f64::EPSILON).next_down(), 1.0).unwrap();
     for z in [20.5, 400.0, 1e300] {
         assert_eq!((tanh(z), tanh(-z)), (one, -one));

@@ -32,7 +32,7 @@ proptest! {
 
     /// An exact half has half of the share, even if its width is no floating-point number.
     #[test]
-    fn an_exact_half_has_half_of_the_share(
+    fn an_exact_half_has_half_the_share(
         a in -2.0..2.0_f64, b in -2.0..2.0_f64, places in 30..52_i32, share in any_share(),
     ) {
         // On a grid with an exact middle; some widths need more digits than a number has.
@@ -57,7 +57,7 @@ proptest! {
 
 /// With one number in between, the middle is exact; with two, it is not.
 #[test]
-fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
+fn the_share_of_a_range_of_few_numbers_is_exact() {
     let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up()))
         .take(4)
         .collect();

@@ -38,7 +38,7 @@ fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(
 
 /// Checks the length of merged windows of D steps, at most a tenth of a second.
 #[test]
-fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second() {
+fn merged_windows_are_few_and_at_most_a_tenth_of_a_second_long() {
     let cases = [
         (0.01, 1, 10, 1),
         (0.01, 1, 11, 2),
@@ -102,7 +102,7 @@ proptest! {
 
 /// Moving members of a later interval moved before; others may have been in any mode.
 #[test]
-fn modes_of_later_firing_include_possible_earlier_modes() {
+fn later_firing_includes_the_possible_earlier_modes() {
     let controller = constant_controller(0.0);
     let scene = ReachProblem {
         step_s: 0.01,
