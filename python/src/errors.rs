@@ -37,7 +37,7 @@ pub(crate) fn exception(
 
 /// Creates an exception for a file that cannot be used.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
-    let place = match error {
+    let location = match error {
         FileError::Read { path, .. } => (Some(path.as_path()), None, None),
         FileError::Syntax {
             path,
@@ -52,7 +52,7 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
         }
         _ => (None, None, None),
     };
-    exception_at(py, class, error, place)
+    exception_at(py, class, error, location)
 }
 
 /// Creates an exception for a scenario or space file that cannot be used.
@@ -61,7 +61,7 @@ pub(crate) fn scenario_file_exception(
     class: ExceptionClass,
     error: &ScenarioFileError,
 ) -> PyErr {
-    let place = match error {
+    let location = match error {
         ScenarioFileError::File(error) => return file_exception(py, class, error),
         ScenarioFileError::Extension { path } => (Some(path.as_path()), None, None),
         ScenarioFileError::Invalid {
@@ -73,9 +73,9 @@ pub(crate) fn scenario_file_exception(
     };
     if error.is_start_refused() {
         let words = format!("{error} (in Python: crumple.allow_external())");
-        return exception_at(py, class, &words, place);
+        return exception_at(py, class, &words, location);
     }
-    exception_at(py, class, error, place)
+    exception_at(py, class, error, location)
 }
 
 /// Creates an exception for a space that cannot be found.

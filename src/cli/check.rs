@@ -211,28 +211,28 @@ impl Check {
                 .as_deref()
                 .filter(|path| is_network_source(path))
         {
-            let place = source.display();
+            let file = source.display();
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => {
                     CliError::Input(format!(
-                        "{place}: is a network that needs a controller file; give the controller file of the \
+                        "{file}: is a network that needs a controller file; give the controller file of the \
                          certificate with --policy"
                     ))
                 }
                 other => CliError::from_cause(other),
             })?;
-            let file = checker_file(&read)
-                .map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
-            return file
+            let bytes = checker_file(&read)
+                .map_err(|invalid| CliError::Input(format!("{file}: {invalid}")))?;
+            return bytes
                 .map(Some)
-                .ok_or_else(|| CliError::Input(format!("{place}: is not a network")));
+                .ok_or_else(|| CliError::Input(format!("{file}: is not a network")));
         }
-        let found = certificate.read_policy(path, self.policy.as_deref());
+        let policy = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
         let is_of_reference = certificate
             .policy_reference()
             .is_some_and(|(_, digest)| digest == Policy::reference().digest());
-        Ok(found.or_else(|| {
+        Ok(policy.or_else(|| {
             (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())
         }))
     }

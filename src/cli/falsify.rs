@@ -146,13 +146,13 @@ impl SearchExpectation {
             ))),
             (Self::Nothing, true) => {
                 let kinds = summary.counterexamples.len();
-                let found = if kinds == 1 {
+                let failures = if kinds == 1 {
                     "1 distinct failure"
                 } else {
                     &format!("{kinds} distinct failures")
                 };
                 Err(CliError::Gate(format!(
-                    "expected no failure, but found {found} in {evaluations} evaluations"
+                    "expected no failure, but found {failures} in {evaluations} evaluations"
                 )))
             }
             // Runs without a verdict are no evidence for the controller.

@@ -107,8 +107,8 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
         else {
             continue;
         };
-        let known = by_length.entry(length).or_default();
-        if let Some(other) = known
+        let same_length = by_length.entry(length).or_default();
+        if let Some(other) = same_length
             .iter()
             .find(|other| have_same_content(path, other).unwrap_or(false))
         {
@@ -120,7 +120,7 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
                 ),
             ));
         }
-        known.push(path);
+        same_length.push(path);
     }
     Ok(())
 }

@@ -99,14 +99,14 @@ fn examine_folder(folder: &Path) -> Result<FolderReport, CliError> {
         };
         return Err(CliError::at(folder, problem));
     }
-    let mut found = verify_journal(folder, examine(folder)?)?;
-    if found.kind == REPORT_KIND {
+    let mut examination = verify_journal(folder, examine(folder)?)?;
+    if examination.kind == REPORT_KIND {
         // Evidence and listing serve the next report and have separate hashes.
-        found
+        examination
             .unrelated_files
             .retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
     }
-    Ok(FolderReport::new(folder, &found))
+    Ok(FolderReport::new(folder, &examination))
 }
 
 /// Returns the run folders in a folder of trainings, one per seed; otherwise the folder itself.

@@ -237,9 +237,9 @@ impl InvariantCommand {
         match error {
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
-                let place = self.controller.field_location(&invalid.field);
+                let field = self.controller.field_location(&invalid.field);
                 CliError::Input(format!(
-                    "--controller: {place}cannot be followed: {invalid}"
+                    "--controller: {field}cannot be followed: {invalid}"
                 ))
             }
             InvalidBox::Field(invalid) => CliError::Input(format!(
@@ -283,7 +283,7 @@ impl InvariantCommand {
         }
         let [low, high] = [self.speed[0], self.speed[1].min(own.high)];
         let speeds = (1..=PICTURE_LINES)
-            .map(|place| low + (high - low) * f64::from(place) / f64::from(PICTURE_LINES));
+            .map(|index| low + (high - low) * f64::from(index) / f64::from(PICTURE_LINES));
         speeds
             .map(|own_mps| {
                 let speeds = (0..leader.node_count())

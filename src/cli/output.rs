@@ -186,12 +186,12 @@ fn emit_to_stderr(mut line: String) {
 /// a plain file, such as a terminal or `/dev/null`, since writing moves a whole file into place. Refuses a path in a
 /// folder that does not exist.
 pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
-    let Ok(there) = fs::symlink_metadata(path) else {
+    let Ok(metadata) = fs::symlink_metadata(path) else {
         let folder = path
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty());
         let is_missing = folder.is_some_and(|folder| match fs::metadata(folder) {
-            Ok(found) => !found.is_dir(),
+            Ok(metadata) => !metadata.is_dir(),
             Err(error) => matches!(
                 error.kind(),
                 io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
@@ -206,7 +206,7 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
             _ => Ok(path.to_owned()),
         };
     };
-    let place = match there.is_symlink() {
+    let target = match metadata.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
             CliError::at(
                 path,
@@ -215,14 +215,14 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
         })?,
         false => path.to_owned(),
     };
-    let found = fs::metadata(&place).map_err(DiskError::at(path))?;
-    if !found.is_file() && !found.is_dir() {
+    let metadata = fs::metadata(&target).map_err(DiskError::at(path))?;
+    if !metadata.is_file() && !metadata.is_dir() {
         return Err(CliError::at(
             path,
             "is not a regular file; choose the name of a new or regular file",
         ));
     }
-    Ok(place)
+    Ok(target)
 }
 
 #[cfg(test)]

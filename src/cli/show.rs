@@ -138,13 +138,14 @@ fn vehicle_class_toml(class: VehicleClass) -> String {
 
 impl Show {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let (mut found, mut known) = (Vec::new(), Vec::new());
+        let mut matching = Vec::new();
+        let mut names_by_kind = Vec::new();
         for kind in BuiltInKind::value_variants() {
             if self.kind.is_none_or(|wanted| wanted == *kind) {
                 let files = kind.files()?;
                 let names: Vec<_> = files.iter().map(|(name, _)| *name).collect();
-                known.push(format!("{}: {}", kind.name(), names.join(", ")));
-                found.extend(
+                names_by_kind.push(format!("{}: {}", kind.name(), names.join(", ")));
+                matching.extend(
                     files
                         .into_iter()
                         .filter(|(name, _)| *name == self.name)
@@ -152,7 +153,7 @@ impl Show {
                 );
             }
         }
-        let Some(((first, text), others)) = found.split_first() else {
+        let Some(((first, text), others)) = matching.split_first() else {
             let problem = match find_built_in(&self.name) {
                 Some(_) => format!(
                     "`{}` is a built-in controller, which has no file (see `crumple list`)",
@@ -161,7 +162,7 @@ impl Show {
                 None => format!(
                     "there is no built-in file `{}`. Names: {}",
                     self.name,
-                    known.join("; ")
+                    names_by_kind.join("; ")
                 ),
             };
             return Err(CliError::Input(problem));

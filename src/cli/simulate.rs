@@ -421,11 +421,11 @@ fn list_scenario_files(paths: Vec<PathBuf>) -> Result<Vec<PathBuf>, CliError> {
             files.push(path);
             continue;
         }
-        let found = file::list(&path)?;
-        if found.is_empty() {
+        let listed = file::list(&path)?;
+        if listed.is_empty() {
             return Err(CliError::at(&path, "the folder has no scenario file"));
         }
-        files.extend(found);
+        files.extend(listed);
     }
     Ok(files)
 }

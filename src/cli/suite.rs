@@ -124,7 +124,7 @@ fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
     };
     match names()
         .enumerate()
-        .find(|(place, name)| names().take(*place).any(|before| before == *name))
+        .find(|(index, name)| names().take(*index).any(|before| before == *name))
     {
         Some((_, name)) => Err(CliError::Input(format!(
             "--controller: `{name}` is named twice"
@@ -181,11 +181,11 @@ fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
         return Ok(suite?);
     }
     if path.extension().is_none() && !path.exists() {
-        let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
+        let names: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
         return Err(CliError::Input(format!(
             "`{}` is neither a suite ({}) nor a file",
             path.display(),
-            known.join(", ")
+            names.join(", ")
         )));
     }
     Ok(TestSuite::load(path)?)

@@ -121,9 +121,9 @@ impl Certificate {
     /// the claim has no policy or the file cannot be read.
     #[must_use]
     pub fn read_policy(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
-        let beside = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
+        let sibling = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
         let mut bytes = Vec::new();
-        open_regular_file(policy.unwrap_or(&beside))
+        open_regular_file(policy.unwrap_or(&sibling))
             .ok()?
             .take(MAX_BYTES as u64)
             .read_to_end(&mut bytes)

@@ -137,11 +137,11 @@ impl Scene {
     /// Checks that a profile lasts for exactly N steps.
     pub(crate) fn check_profile_length<T>(
         &self,
-        held: &[ConstantPiece<T>],
+        profile: &[ConstantPiece<T>],
         field: impl Fn() -> String,
     ) -> Result<(), Rejection> {
         // Saturating: 2^32 pieces of 2^32 steps would overflow, and their total is not N either.
-        let steps = held
+        let steps = profile
             .iter()
             .fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
         if steps == u64::from(self.steps) {

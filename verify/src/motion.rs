@@ -55,8 +55,9 @@ fn stopping_distance(v: Interval, a: Interval) -> Interval {
     v.sqr().over(-(a + a))
 }
 
-pub(crate) fn expand_pieces<T: Copy>(held: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
-    held.iter()
+pub(crate) fn expand_pieces<T: Copy>(pieces: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
+    pieces
+        .iter()
         .flat_map(|&ConstantPiece(steps, value)| std::iter::repeat_n(value, steps as usize))
 }
 
@@ -145,9 +146,9 @@ mod tests {
         };
         for (fires, k) in (0..=20_u32).flat_map(|fires| (0..=20_u32).map(move |k| (fires, k))) {
             let expected = (12.0 - 1.5 * f64::from(k.saturating_sub(fires + 2))).max(0.0);
-            let found = scene.follower_speed_mps(&follower, fires, k);
+            let actual = scene.follower_speed_mps(&follower, fires, k);
             assert!(
-                (found.low() - expected).abs() < 1e-12 && (found.high() - expected).abs() < 1e-12,
+                (actual.low() - expected).abs() < 1e-12 && (actual.high() - expected).abs() < 1e-12,
                 "{fires} {k}"
             );
         }

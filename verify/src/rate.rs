@@ -234,11 +234,11 @@ mod tests {
         }
         // q^n for q = 1 - 2^-27 and n = 2^29, which is exp(-4) to within 2e-8.
         let rate = 2.0_f64.powi(-27);
-        let found = binomial_tail_upper_bound(0, 1 << 29, rate);
+        let actual = binomial_tail_upper_bound(0, 1 << 29, rate);
         let exact = (-4.0_f64 - 2.0 * rate).exp();
         assert!(
-            found >= exact && found < exact * (1.0 + 4e-7),
-            "{found} {exact}"
+            actual >= exact && actual < exact * (1.0 + 4e-7),
+            "{actual} {exact}"
         );
     }
 

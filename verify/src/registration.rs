@@ -164,11 +164,11 @@ impl Registration {
         let of_second = COMPARISON_ENTRIES.iter().filter(|_| controllers == 2);
         let mut needed = REQUIRED_ENTRIES.iter().chain(of_second);
         let optional = POLICY_ENTRIES.iter().take(controllers);
-        let known: Vec<_> = needed.clone().chain(optional).collect();
+        let allowed: Vec<_> = needed.clone().chain(optional).collect();
         if let Some(key) = needed.find(|key| entries.get(**key).is_none_or(String::is_empty)) {
             return Err(invalid_entry(key, "is missing"));
         }
-        match entries.keys().find(|key| !known.contains(&&key.as_str())) {
+        match entries.keys().find(|key| !allowed.contains(&&key.as_str())) {
             Some(key) => Err(invalid_entry(key, "is not known")),
             None => Ok(()),
         }

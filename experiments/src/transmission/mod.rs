@@ -150,8 +150,8 @@ mod tests {
             ("AT1", 120.0 - 120.213_271_492_615),
             ("AT2", 4750.0 - 4_768.277_187_862_124),
         ] {
-            let found = robustness_with(name, full);
-            assert!((found - expected).abs() < 1e-9, "{name}: {found}");
+            let actual = robustness_with(name, full);
+            assert!((actual - expected).abs() < 1e-9, "{name}: {actual}");
         }
     }
 

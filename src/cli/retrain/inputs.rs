@@ -126,7 +126,7 @@ pub(super) fn load_spaces(
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
         let space = args::load_space(option, name, controllers)?;
-        if spaces.iter().any(|known| known.name() == space.name()) {
+        if spaces.iter().any(|earlier| earlier.name() == space.name()) {
             return Err(CliError::Input(format!(
                 "{option}: two spaces have the name `{}`",
                 space.name()

@@ -83,8 +83,8 @@ impl CommandModel<'_> {
             }
             Self::Network(network, [own_mps2, leader_mps2]) => {
                 let mut forms: [AffineForm; OBSERVATION_SIZE] = Default::default();
-                for (place, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
-                    forms[place] = form.clone();
+                for (quantity, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
+                    forms[quantity] = form.clone();
                 }
                 // There is no follower. Its substitute has the own speed and does not accelerate.
                 forms[GAP_BEHIND] = AffineForm::constant(Interval::point(network.empty_gap_m));
@@ -93,8 +93,8 @@ impl CommandModel<'_> {
                     (LEADER_ACCELERATION, leader_mps2),
                     (OWN_ACCELERATION, own_mps2),
                 ];
-                for (symbol, (place, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
-                    forms[place] = AffineForm::symbol(symbol, *range);
+                for (symbol, (quantity, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
+                    forms[quantity] = AffineForm::symbol(symbol, *range);
                 }
                 network
                     .decide_with_budget(&forms, &[0.0; OBSERVATION_SIZE], false, work)

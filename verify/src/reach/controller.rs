@@ -230,12 +230,12 @@ impl NeuralController {
     #[must_use]
     pub fn decide(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
     ) -> AffineForm {
         self.decide_with_budget(
-            seen,
+            observation,
             error,
             is_followed,
             &OpBudget::new(WorkLimit::UNLIMITED),
@@ -245,7 +245,7 @@ impl NeuralController {
     /// Decides like [`decide`](Self::decide) within a budget; returns the whole line if it is exceeded.
     pub(crate) fn decide_with_budget(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
         work: &OpBudget,
@@ -253,7 +253,7 @@ impl NeuralController {
         let inputs: Vec<AffineForm> = self
             .inputs
             .iter()
-            .map(|input| input.enclose(seen, error, is_followed))
+            .map(|input| input.enclose(observation, error, is_followed))
             .collect();
         let answer = network_output_with_budget(&self.layers, self.output_index, &inputs, work)
             .unwrap_or_else(AffineForm::entire);
@@ -291,7 +291,7 @@ impl InputSum {
 impl ControllerInput {
     fn enclose_sum(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
     ) -> InputSum {
         let mut value = AffineForm::default();
@@ -300,7 +300,7 @@ impl ControllerInput {
         for ((&factor, number), error) in self
             .coefficients
             .iter()
-            .zip(seen)
+            .zip(observation)
             .zip(error)
             .filter(|((factor, _), _)| **factor != 0.0)
         {
@@ -325,7 +325,7 @@ impl ControllerInput {
 
     fn enclose(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
     ) -> AffineForm {
@@ -334,7 +334,7 @@ impl ControllerInput {
             deviation,
         } = match self.absent_value.filter(|_| !is_followed) {
             Some(absent) => InputSum::exact(absent),
-            None => self.enclose_sum(seen, error),
+            None => self.enclose_sum(observation, error),
         };
         value.shift(-Interval::point(self.offset));
         if deviation > 0.0 {
@@ -378,32 +378,32 @@ fn network_output_with_budget(
     inputs: &[AffineForm],
     work: &OpBudget,
 ) -> Option<AffineForm> {
-    let seen = InputForms::new(inputs);
+    let input_forms = InputForms::new(inputs);
     let mut bounds = NetworkBounds::from_inputs(inputs);
     let last = steps
         .iter()
         .rposition(|step| matches!(step, NetworkLayer::Linear(_)));
-    let (until_last, behind) = steps.split_at(last.map_or(0, |last| last + 1));
+    let (until_last, after_last) = steps.split_at(last.map_or(0, |last| last + 1));
     for step in until_last {
         match step {
             NetworkLayer::Linear(layer) => {
                 if !work.charge(bounds.operations(layer)) {
                     return None;
                 }
-                bounds = bounds.apply_linear(layer, &seen);
+                bounds = bounds.apply_linear(layer, &input_forms);
             }
-            NetworkLayer::Activation(each) => {
-                if !work.charge(each.operations() * bounds.centre.len() as u64) {
+            NetworkLayer::Activation(activation) => {
+                if !work.charge(activation.operations() * bounds.centre.len() as u64) {
                     return None;
                 }
-                bounds.apply_activation(each, &seen);
+                bounds.apply_activation(activation, &input_forms);
             }
         }
     }
     let mut form = bounds.into_form(which, inputs)?;
-    for step in behind {
-        if let NetworkLayer::Activation(each) = step {
-            form = each.apply(which, &form);
+    for step in after_last {
+        if let NetworkLayer::Activation(activation) = step {
+            form = activation.apply(which, &form);
         }
     }
     Some(form)

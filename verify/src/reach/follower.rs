@@ -257,10 +257,10 @@ struct LawInput {
 
 impl LawInput {
     fn new(gap: AffineForm, speed: AffineForm, closing: AffineForm) -> Self {
-        let mut seen = [gap, speed, closing];
-        seen.iter_mut()
-            .for_each(|form| form.widen(OBSERVATION_ROUNDING));
-        let [gap, speed, closing] = seen;
+        let [gap, speed, closing] = [gap, speed, closing].map(|mut form| {
+            form.widen(OBSERVATION_ROUNDING);
+            form
+        });
         Self {
             gap,
             speed,

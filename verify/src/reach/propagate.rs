@@ -364,7 +364,7 @@ impl ReachAnalysis<'_> {
         k: u32,
         StateSet {
             members,
-            observation: seen,
+            observation,
             ..
         }: &StateSet,
     ) -> Option<AffineForm> {
@@ -378,8 +378,12 @@ impl ReachAnalysis<'_> {
             follower,
             ..
         } = self.scene;
-        let wanted =
-            controller.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
+        let wanted = controller.decide_with_budget(
+            observation,
+            observation_error,
+            follower.is_some(),
+            self.budget,
+        );
         let wanted = wanted.with_rest_as_symbol(members.next_symbol);
         if members.ego.speed.radius() < MAX_RADIUS_MPS && wanted.radius() < MAX_RADIUS_MPS {
             return Some(wanted);

@@ -91,13 +91,13 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
 impl SafetensorsFile<'_> {
     /// Checks that tensors lie one after the other, without a gap, and up to the end.
     fn check_offsets(&self) -> Result<(), String> {
-        let mut places: Vec<[usize; 2]> = self
+        let mut offsets: Vec<[usize; 2]> = self
             .tensors
             .values()
             .map(|entry| entry.data_offsets)
             .collect();
-        places.sort_unstable();
-        let end = places.iter().try_fold(0, |end, &[from, to]| {
+        offsets.sort_unstable();
+        let end = offsets.iter().try_fold(0, |end, &[from, to]| {
             (from == end && to >= from).then_some(to)
         });
         let is_whole = end == Some(self.data.len());
@@ -214,11 +214,10 @@ impl NeuralController {
                     bounds = layer.max_magnitudes(&bounds);
                     layers += 1;
                 }
-                NetworkLayer::Activation(each) => {
-                    bounds
-                        .iter_mut()
-                        .enumerate()
-                        .for_each(|(number, bound)| *bound = each.max_magnitude(number, *bound));
+                NetworkLayer::Activation(activation) => {
+                    bounds.iter_mut().enumerate().for_each(|(number, bound)| {
+                        *bound = activation.max_magnitude(number, *bound)
+                    });
                 }
             }
             if !bounds.iter().all(|&bound| bound <= highest) {

@@ -108,8 +108,8 @@ proptest! {
         let joined = x.join(&farther);
         let size = 1.0 + x.centre().abs() + x.radius();
         prop_assert_eq!(joined.terms().len(), x.terms().len());
-        for (found, term) in joined.terms().iter().zip(x.terms()) {
-            prop_assert_eq!(found, term);
+        for (actual, term) in joined.terms().iter().zip(x.terms()) {
+            prop_assert_eq!(actual, term);
         }
         prop_assert!((joined.rest() - x.rest() - 0.5 * by).abs() <= 1e-10 * size);
     }

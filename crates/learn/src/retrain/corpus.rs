@@ -139,12 +139,12 @@ impl Corpus {
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
         let mut corpus = Self::empty(space, seed)?;
-        if let Some(found) = work.read_json::<Self>(name)? {
-            if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
+        if let Some(stored) = work.read_json::<Self>(name)? {
+            if (stored.seed, &stored.space_sha256) != (seed, &corpus.space_sha256) {
                 let problem = "the scenarios belong to another space or seed";
                 return Err(RunFolderError::damaged(&work.path(name), problem).into());
             }
-            corpus = found;
+            corpus = stored;
         }
         while corpus.scenarios_sha256.is_empty() {
             watch.notify(&RetrainingProgress::Gathering {

@@ -102,10 +102,10 @@ impl RegressionSpace {
             estimator: plan.estimator(),
             checks_usefulness: true,
         };
-        let found = drawn.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
-        drawn.checks_usefulness = found
+        let of_idm = drawn.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
+        drawn.checks_usefulness = of_idm
             .not_useful
-            .is_some_and(|of_no_use| of_no_use.is_empty());
+            .is_some_and(|not_useful| not_useful.is_empty());
         Ok(drawn)
     }
 
@@ -148,9 +148,9 @@ impl RegressionSpace {
     }
 }
 
-fn is_not_useful(found: UsefulnessMeasures) -> bool {
-    !found.hard.is_empty()
-        || found
+fn is_not_useful(measures: UsefulnessMeasures) -> bool {
+    !measures.hard.is_empty()
+        || measures
             .following
             .is_some_and(|following| following.fell_behind)
 }

@@ -89,10 +89,10 @@ mod tests {
                 exact[i] -= 0.01 * unbiased[0] / (unbiased[1].sqrt() + 1e-8);
             }
         }
-        for (found, expected) in parameters.iter().zip(exact) {
+        for (actual, expected) in parameters.iter().zip(exact) {
             assert!(
-                (f64::from(*found) - expected).abs() < 1e-5,
-                "{found} {expected}"
+                (f64::from(*actual) - expected).abs() < 1e-5,
+                "{actual} {expected}"
             );
         }
     }

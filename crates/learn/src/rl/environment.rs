@@ -201,10 +201,10 @@ impl TrainingEpisode {
     /// Writes the present observation, [`ObservationScaling::width`] numbers.
     pub fn write_state(&mut self, state: &mut [f32]) {
         let last_answer_mps2 = self.held_action.last_answer_mps2();
-        if let Some(seen) = self.stepper.observe(EGO) {
+        if let Some(observation) = self.stepper.observe(EGO) {
             self.config
                 .scaling
-                .write_state(&seen, last_answer_mps2, state);
+                .write_state(&observation, last_answer_mps2, state);
         }
     }
 
@@ -212,7 +212,7 @@ impl TrainingEpisode {
     pub fn observe<'p>(&mut self, past: &'p mut FrameStack) -> &'p [f32] {
         let last_answer_mps2 = self.held_action.last_answer_mps2();
         match self.stepper.observe(EGO) {
-            Some(seen) => past.push(&self.config.scaling, &seen, last_answer_mps2),
+            Some(observation) => past.push(&self.config.scaling, &observation, last_answer_mps2),
             None => &[],
         }
     }
@@ -297,8 +297,8 @@ impl TrainingEpisode {
     /// Returns the discounted reward of standing still for the decisions that are left. If the time limit is a
     /// truncation, the reward continues for ever.
     fn standstill_return(&self, step_reward: f64, decisions_left: f64) -> f64 {
-        let each = step_reward * f64::from(self.config.environment.action_repeat);
-        let for_ever = each / (1.0 - self.config.discount);
+        let decision_reward = step_reward * f64::from(self.config.environment.action_repeat);
+        let for_ever = decision_reward / (1.0 - self.config.discount);
         match self.config.environment.time_limit {
             TimeLimit::Truncation => for_ever,
             TimeLimit::Termination => for_ever * (1.0 - self.config.discount.powf(decisions_left)),

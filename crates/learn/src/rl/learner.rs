@@ -427,10 +427,11 @@ fn squash_actions(raw: &[f32], actions: &mut Vec<f32>) {
     actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
 }
 
-fn fill_critic_input(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
-    let widths = known.map(|rows| rows.len() / actions.len().max(1));
+/// Writes the rows of states, privileged numbers and actions side by side.
+fn fill_critic_input(states: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
+    let widths = states.map(|rows| rows.len() / actions.len().max(1));
     for (row, &action) in actions.iter().enumerate() {
-        for (rows, width) in known.iter().zip(widths) {
+        for (rows, width) in states.iter().zip(widths) {
             input.extend_from_slice(&rows[row * width..(row + 1) * width]);
         }
         input.push(action);

@@ -220,13 +220,13 @@ impl ReplayBuffer {
         } else {
             (contact_share * count as f64).round() as usize
         };
-        for index in 0..count {
-            let place = if index < of_contacts {
+        for drawn in 0..count {
+            let index = if drawn < of_contacts {
                 self.contact_indices[stream.random_range(0..self.contact_indices.len())] as usize
             } else {
                 stream.random_range(0..self.len())
             };
-            if let Some(transition) = self.transition(place) {
+            if let Some(transition) = self.transition(index) {
                 batch.push(&transition);
             }
         }

@@ -270,12 +270,12 @@ mod tests {
             counts[place] += 1;
         }
         // Four standard deviations.
-        for (found, expected, four) in [
+        for (actual, expected, four) in [
             (counts[0], 750, 87),
             (counts[1], 250, 60),
             (counts[2], 1000, 90),
         ] {
-            assert!(found.abs_diff(expected) < four, "{counts:?}");
+            assert!(actual.abs_diff(expected) < four, "{counts:?}");
         }
         let identity = blend.identity().unwrap().unwrap();
         assert!(
@@ -287,10 +287,10 @@ mod tests {
     #[test]
     fn too_many_spaces_and_infinite_numbers_are_named() {
         let refused = |shares: &[TrainingSpace], expected: &str| {
-            let found = SpaceMixture::new(shares, Controllers::default())
+            let actual = SpaceMixture::new(shares, Controllers::default())
                 .unwrap_err()
                 .to_string();
-            assert!(found.starts_with(expected), "{found}");
+            assert!(actual.starts_with(expected), "{actual}");
         };
         refused(
             &vec![training_space("paper", 1.0); 33],

@@ -330,8 +330,8 @@ impl Trainer {
 
     fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {
         let environment = &self.config.environment;
-        let each = environment.step_reward * f64::from(environment.action_repeat);
-        let discounted = each / (1.0 - self.config.learning.discount);
+        let decision_reward = environment.step_reward * f64::from(environment.action_repeat);
+        let discounted = decision_reward / (1.0 - self.config.learning.discount);
         // With termination at the time limit, no value exceeds the reward of one episode.
         let paid = match environment.time_limit {
             TimeLimit::Truncation => discounted,

@@ -229,28 +229,32 @@ impl TuningReport {
             fn(&TrafficUsefulness, &TuningReport) -> String,
         );
         let measures: [MeasureRow; 6] = [
-            ("collisions in `traffic`", |found, report| {
-                report.format_share(found.contacts)
+            ("collisions in `traffic`", |usefulness, report| {
+                report.format_share(usefulness.contacts)
             }),
-            ("unnecessary hard braking in `traffic`", |found, report| {
-                report.format_share(found.hard_braking)
+            (
+                "unnecessary hard braking in `traffic`",
+                |usefulness, report| report.format_share(usefulness.hard_braking),
+            ),
+            ("left behind in `traffic`", |usefulness, report| {
+                report.format_share(usefulness.fell_behind)
             }),
-            ("left behind in `traffic`", |found, report| {
-                report.format_share(found.fell_behind)
+            ("RMS acceleration, relative to `idm`", |usefulness, _| {
+                format!("{:.2}", usefulness.acceleration_times_idm)
             }),
-            ("RMS acceleration, relative to `idm`", |found, _| {
-                format!("{:.2}", found.acceleration_times_idm)
+            ("RMS jerk, relative to `idm`", |usefulness, _| {
+                format!("{:.2}", usefulness.jerk_times_idm)
             }),
-            ("RMS jerk, relative to `idm`", |found, _| {
-                format!("{:.2}", found.jerk_times_idm)
-            }),
-            ("mean time gap, s", |found, _| {
-                format!("{:.2}", found.mean_time_gap_s)
+            ("mean time gap, s", |usefulness, _| {
+                format!("{:.2}", usefulness.mean_time_gap_s)
             }),
         ];
         for (name, measure) in measures {
             rows.push(self.test_row(name, |score| {
-                score.traffic.as_ref().map(|found| measure(found, self))
+                score
+                    .traffic
+                    .as_ref()
+                    .map(|usefulness| measure(usefulness, self))
             }));
         }
         rows.push(self.test_row("objective", |score| Some(format!("{:.4}", score.objective))));

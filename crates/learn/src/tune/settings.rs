@@ -233,9 +233,9 @@ mod tests {
             for spec in BuiltInController::all().iter().filter(|spec| !spec.fields().is_empty()) {
                 let search = SettingSearch::parse(spec.name(), &[]).unwrap();
                 let point = &coordinates[..search.searched().len()];
-                let found = search.controller_at(point);
-                prop_assert_eq!(BuiltInController::parse(&found.to_arg()), Some(Ok(found.clone())));
-                for ((field, value), setting) in found.values().zip(search.searched()) {
+                let controller = search.controller_at(point);
+                prop_assert_eq!(BuiltInController::parse(&controller.to_arg()), Some(Ok(controller.clone())));
+                for ((field, value), setting) in controller.values().zip(search.searched()) {
                     prop_assert!((setting.range[0]..=setting.range[1]).contains(&value), "{}: {value}", field.name);
                 }
                 let [low, high] = [0.0, 1.0].map(|end| search.controller_at(&vec![end; point.len()]));

@@ -33,7 +33,9 @@ proptest! {
     }
 
     #[test]
-    fn the_motion_of_a_single_vehicle_is_the_closed_form(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
+    fn a_single_vehicle_moves_by_the_closed_form(
+        v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32,
+    ) {
         let VehicleState { distance, speed, acceleration } =
             braking_vehicle([v; 2], [b; 2], [f64::from(onset); 2]).state_at(k, Interval::point(STEP_S));
         let [until, since] = [f64::from(k.min(onset)) * STEP_S, f64::from(k.saturating_sub(onset)) * STEP_S];

@@ -30,7 +30,7 @@ fn an_input_is_as_wide_as_its_observation_error_and_rounding() {
     ] {
         for (error, off) in [(&error, off), (&NO_ERROR, 0.0)] {
             for (offset, scale) in [(0.0, 1.0), (7.0, 4.0), (7.0, -4.0), (4.0, 1.0)] {
-                let found = ControllerInput {
+                let actual = ControllerInput {
                     offset,
                     scale,
                     ..affine_input(coefficients(factors), 0.5)
@@ -46,7 +46,7 @@ fn an_input_is_as_wide_as_its_observation_error_and_rounding() {
                 let ends = ends.map(|end| (end + 0.5 - offset) / scale);
                 let [low, high] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
                 let rounding = low.abs().max(high.abs()) * UNIT_ROUNDOFF * (1.0 + 1e-6);
-                assert_bounds(found, [low - rounding, high + rounding], 1e-10);
+                assert_bounds(actual, [low - rounding, high + rounding], 1e-10);
             }
         }
     }
@@ -250,10 +250,10 @@ fn activations_are_charged_for_each_number() {
         3 * 7 * Activation::Add(Vec::new()).operations()
     );
     // 7 (1/2 + 1/10 + 3/4)/2 + 1/10.
-    let found = with(3).decide(
+    let actual = with(3).decide(
         &observation_with(point_form(3.0), point_form(10.0)),
         &NO_ERROR,
         true,
     );
-    assert_bounds(found.range(), [4.825; 2], 1e-5);
+    assert_bounds(actual.range(), [4.825; 2], 1e-5);
 }

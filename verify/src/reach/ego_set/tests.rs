@@ -145,8 +145,8 @@ proptest! {
         let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
         let share = size(&p) / (size(&p) + size(&q));
         let cost: f64 = p.iter().zip(q).map(|(p, q)| 2.0 * (p - share * (p + q)).abs()).sum();
-        let found = GeneratorPair::new(&p, &q).cost();
-        prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= found && found <= cost + 1e-13, "{found} {cost}");
+        let actual = GeneratorPair::new(&p, &q).cost();
+        prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= actual && actual <= cost + 1e-13, "{actual} {cost}");
     }
 
     /// Symbols in proportion merge at no cost, for any sign, in the ego, the follower or both.

@@ -181,19 +181,19 @@ proptest! {
         let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
         let forms: Vec<_> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
         let seen = law_input(forms[0].clone(), forms[1].clone(), &forms[2]);
-        let found = behind.acceleration(&seen);
+        let actual = behind.acceleration(&seen);
         let wanted = IDM.desired_acceleration(&seen, &behind.brake);
         let form = clamp_to_limits(&wanted, &behind.brake, IDM.max_accel_mps2).range();
         let plain = plain_of(&IDM, &seen).max(Interval::point(-8.0)).min(Interval::point(3.0));
         let width = |range: Interval| range.high() - range.low();
         let narrower = width(form).min(width(plain));
-        prop_assert!(width(found.range()) <= narrower * (1.0 + 1e-9) + 1e-9, "{found:?} {form:?} {plain:?}");
+        prop_assert!(width(actual.range()) <= narrower * (1.0 + 1e-9) + 1e-9, "{actual:?} {form:?} {plain:?}");
         if width(form) < 0.999 * width(plain) {
-            prop_assert!(found.terms().iter().any(|&term| term != 0.0), "{found:?} {plain:?}");
+            prop_assert!(actual.terms().iter().any(|&term| term != 0.0), "{actual:?} {plain:?}");
         }
         let at: Vec<f64> = ends.iter().zip(places).map(|([low, high], place)| low + place * (high - low)).collect();
         let true_one = idm_acceleration(&IDM, [at[0], at[1], at[2]]).0.clamp(-8.0, 3.0);
-        let range = found.range();
+        let range = actual.range();
         prop_assert!(range.low() <= true_one + 1e-9 && true_one - 1e-9 <= range.high(), "{true_one} {range:?}");
     }
 
@@ -208,8 +208,8 @@ proptest! {
         let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { acc_acceleration(&law, [gap, v, w]) };
         let expected = wanted.max(-8.0).min(law.max_accel_mps2);
         let (law, start_gap) = (FollowerLaw::AccAeb(law), AffineForm::default());
-        let found = law_follower(&law, point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
-        assert_bounds(found.range(), [expected; 2], 1e-12 * 200.0);
+        let actual = law_follower(&law, point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
+        assert_bounds(actual.range(), [expected; 2], 1e-12 * 200.0);
         let observed = [gap, v, w].map(point_form);
         let range = law.command_range(&observed, interval(-8.0, 9.0));
         assert_bounds(range.max(Interval::point(-8.0)), [expected; 2], 1e-12 * 200.0);

@@ -291,8 +291,8 @@ fn gaps_are_bounded_between_decisions() {
         let acts = AffineForm::constant(Interval::new(acts[0], acts[1]).unwrap());
         assert!(!analysis.record_gaps(0, &before, &now, &acts, Some(&follower), None));
         let expected = [6.0 - ahead * 0.02, 4.0 - behind * 0.02];
-        for (found, expected) in analysis.result.gaps_m.into_iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        for (actual, expected) in analysis.result.gaps_m.into_iter().zip(expected) {
+            assert!((actual - expected).abs() < 1e-12, "{actual} {expected}");
         }
         assert_eq!(analysis.result.undecided, None);
     }

@@ -17,8 +17,8 @@ fn slope_and_offset(f: impl Fn(&AffineForm) -> AffineForm, low: f64, high: f64) 
     (slope, [line.centre() - slope * x.centre(), line.rest()])
 }
 
-fn is_near(found: f64, expected: f64, within: f64) -> bool {
-    (found - expected).abs() <= within
+fn is_near(actual: f64, expected: f64, within: f64) -> bool {
+    (actual - expected).abs() <= within
 }
 
 /// Returns the least and largest f(x) - s x at the ends and at places between them.

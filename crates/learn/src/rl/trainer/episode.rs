@@ -86,7 +86,7 @@ enum ActionChoice {
         /// Number of decisions for which each action holds, and number of decisions until now.
         decisions_held: u64,
         decisions: u64,
-        held: f32,
+        held_action: f32,
     },
     /// The action of the actor with normal noise of this deviation.
     Actor { noise: f32 },
@@ -106,11 +106,11 @@ impl Exploration {
                 }
             }
             None => {
-                let held = exploration.random_hold_steps / config.environment.action_repeat;
+                let held_action = exploration.random_hold_steps / config.environment.action_repeat;
                 ActionChoice::Random {
-                    decisions_held: u64::from(held).max(1),
+                    decisions_held: u64::from(held_action).max(1),
                     decisions: 0,
-                    held: 0.0,
+                    held_action: 0.0,
                 }
             }
         };
@@ -127,13 +127,13 @@ impl Exploration {
             ActionChoice::Random {
                 decisions_held,
                 decisions,
-                held,
+                held_action,
             } => {
                 if decisions.is_multiple_of(*decisions_held) {
-                    *held = self.stream.random_range(-1.0..=1.0);
+                    *held_action = self.stream.random_range(-1.0..=1.0);
                 }
                 *decisions += 1;
-                *held
+                *held_action
             }
             ActionChoice::Actor { noise } => {
                 let normal: f32 = StandardNormal.sample(&mut self.stream);
