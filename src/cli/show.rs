@@ -154,18 +154,7 @@ impl Show {
             }
         }
         let Some(((first, text), others)) = matching.split_first() else {
-            let problem = match find_built_in(&self.name) {
-                Some(_) => format!(
-                    "`{}` is a built-in controller, which has no file (see `crumple list`)",
-                    self.name
-                ),
-                None => format!(
-                    "there is no built-in file `{}`. Names: {}",
-                    self.name,
-                    names_by_kind.join("; ")
-                ),
-            };
-            return Err(CliError::Input(problem));
+            return Err(self.no_file_error(&names_by_kind));
         };
         for (other, _) in others {
             output::note(
@@ -177,5 +166,19 @@ impl Show {
             );
         }
         output::print(text)
+    }
+
+    fn no_file_error(&self, names_by_kind: &[String]) -> CliError {
+        CliError::Input(match find_built_in(&self.name) {
+            Some(_) => format!(
+                "`{}` is a built-in controller, which has no file (see `crumple list`)",
+                self.name
+            ),
+            None => format!(
+                "there is no built-in file `{}`. Names: {}",
+                self.name,
+                names_by_kind.join("; ")
+            ),
+        })
     }
 }

@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assumption::Assumption;
 use crate::bounded;
-use crate::claim::{ConstantPiece, MAX_EGOS, Scene};
+use crate::claim::{ConstantPiece, MAX_EGOS, Scene, SceneFollower};
 use crate::interval::Interval;
 use crate::motion::{distance_and_speed_after, expand_pieces};
 use crate::rejection::Rejection;
@@ -238,19 +238,10 @@ fn safety_after_horizon(
             .map(|(_, v)| v.low())
             .fold(f64::INFINITY, f64::min),
     );
-    let follower = scene.follower.as_ref().map(|follower| {
-        let brakes =
-            fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
-        let brake_mps2 = if brakes {
-            follower.brake_mps2
-        } else {
-            Interval::ZERO
-        };
-        RearVehicle {
-            speed_mps: scene.follower_speed_mps(follower, fires, scene.steps),
-            brake_mps2,
-        }
-    });
+    let follower = scene
+        .follower
+        .as_ref()
+        .map(|follower| RearVehicle::from_follower(scene, follower, fires));
     let egos = scene.egos.iter().zip(line.iter().skip(1));
     let behind: Vec<_> = egos
         .map(|(ego, (_, v))| RearVehicle {
@@ -282,6 +273,20 @@ struct RearVehicle {
 }
 
 impl RearVehicle {
+    /// Creates the follower, which brakes only if its brake has fired and its reaction is over.
+    fn from_follower(scene: &Scene, follower: &SceneFollower, fires: u32) -> Self {
+        let brakes =
+            fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
+        Self {
+            speed_mps: scene.follower_speed_mps(follower, fires, scene.steps),
+            brake_mps2: if brakes {
+                follower.brake_mps2
+            } else {
+                Interval::ZERO
+            },
+        }
+    }
+
     /// True if it slows to `to_mps` before it has closed a gap by braking.
     fn can_keep_gap(&self, gap_m: Interval, to_mps: Interval) -> bool {
         let too_fast_mps = self.speed_mps - to_mps;

@@ -27,6 +27,13 @@ pub struct TrainableNetwork {
 }
 
 impl TrainableNetwork {
+    /// Performs a step of the optimiser. With `tau`, the target follows the network by this share.
+    fn descend(&mut self, gradients: &[f32], rate: f32, tau: Option<f32>) {
+        let follow = tau.map(|tau| (self.target.parameters_mut(), tau));
+        self.adam
+            .step(self.network.parameters_mut(), gradients, rate, follow);
+    }
+
     /// Creates network `index` of a training, with initial weights from `seed`.
     fn from_seed(config: &NetworkConfig, inputs: usize, seed: u64, index: u64) -> Self {
         let sizes = [&[inputs], config.hidden.as_slice(), &[1]].concat();
@@ -150,18 +157,10 @@ impl Learner {
         let mut losses = Losses::default();
         for index in 0..self.critics.len() {
             let critic_losses = self.compute_critic_gradient(index, batch);
-            let TrainableNetwork {
-                network,
-                target,
-                adam,
-            } = &mut self.critics[index];
-            let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.tau));
-            let rate = self.lr_factor * self.learning.critic_rate;
-            adam.step(
-                network.parameters_mut(),
+            self.critics[index].descend(
                 &self.workspace.critic_gradients,
-                rate,
-                follow,
+                self.lr_factor * self.learning.critic_rate,
+                actor_is_due.then_some(self.learning.tau),
             );
             if index == 0 {
                 losses = critic_losses;
@@ -169,18 +168,10 @@ impl Learner {
         }
         if actor_is_due && !self.is_actor_frozen {
             self.compute_actor_gradient(batch);
-            let TrainableNetwork {
-                network,
-                target,
-                adam,
-            } = &mut self.actor;
-            let follow = Some((target.parameters_mut(), self.learning.tau));
-            let rate = self.lr_factor * self.learning.actor_rate;
-            adam.step(
-                network.parameters_mut(),
+            self.actor.descend(
                 &self.workspace.actor_gradients,
-                rate,
-                follow,
+                self.lr_factor * self.learning.actor_rate,
+                Some(self.learning.tau),
             );
         }
         self.updates += 1;
