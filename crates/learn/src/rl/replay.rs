@@ -129,7 +129,7 @@ impl Batch {
 
 impl Transition<'_> {
     /// Returns the numbers in the order of the memory.
-    fn to_row(&self) -> Vec<f32> {
+    fn to_row(self) -> Vec<f32> {
         let states = [self.state, self.next_state, self.privileged]
             .into_iter()
             .flatten()
