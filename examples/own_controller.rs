@@ -3,7 +3,7 @@
 //! `cargo run --release --example own_controller -- FOLDER` writes the campaign and the report to FOLDER.
 
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crumple::report::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, assess};
@@ -59,15 +59,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     let own =
         NamedController::from_source("soft-follower", Arc::new(SoftFollower { time_gap_s: 0.8 }));
-
-    for name in ["paper-1", "paper-2", "paper-3"] {
-        let scenario = built_in_scenario(name).ok_or("not built in")?;
-        let run = Run::new(&scenario, RunOptions::new(own.source.clone()))?;
-        println!(
-            "{name}: {:?}",
-            simulate(&run, RecordingLevel::Summary).outcome
-        );
-    }
+    simulate_scenarios(&own)?;
 
     let campaign = Campaign::new(
         own.clone(),
@@ -78,16 +70,34 @@ fn main() -> Result<(), Box<dyn Error>> {
     let summary = campaign.run(&folder.join("campaign"), true, &Quiet)?;
     println!("{}", summary.to_text());
 
+    assess_controller(own, &folder)
+}
+
+/// Simulates the controller in the paper's scenarios.
+fn simulate_scenarios(own: &NamedController) -> Result<(), Box<dyn Error>> {
+    for name in ["paper-1", "paper-2", "paper-3"] {
+        let scenario = built_in_scenario(name).ok_or("not built in")?;
+        let run = Run::new(&scenario, RunOptions::new(own.source.clone()))?;
+        println!(
+            "{name}: {:?}",
+            simulate(&run, RecordingLevel::Summary).outcome
+        );
+    }
+    Ok(())
+}
+
+/// Compares the controller with two others, and writes the report.
+fn assess_controller(own: NamedController, folder: &Path) -> Result<(), Box<dyn Error>> {
     let mut config = AssessConfig::default();
     config.controllers = vec!["baseline".to_owned(), "idm".to_owned()];
     config.gates.clear();
     (config.draws, config.search.budget) = (100, 100);
-    let plan = AssessmentPlan::new(config, [own], &folder)?;
+    let plan = AssessmentPlan::new(config, [own], folder)?;
     let store = EvidenceCache::open(&folder.join("evidence"), "own_controller 1", false)?;
     let assessment = assess(&plan, &store, None, &Quiet)?;
     for (name, text) in assessment.files()? {
         let path = folder.join(name);
-        disk::make_folder(path.parent().unwrap_or(&folder))?;
+        disk::make_folder(path.parent().unwrap_or(folder))?;
         disk::write(&path, text)?;
     }
     println!(

@@ -67,9 +67,49 @@ struct ParetoPoint {
     is_untrained: bool,
 }
 
+const JERK_TICKS_MPS3: [f64; 8] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
+const CONTACT_TICKS_PERCENT: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
+
 impl ParetoPoint {
+    fn new(controller: &NamedController) -> Self {
+        let name = &controller.name;
+        Self {
+            name: Path::new(name)
+                .file_name()
+                .map_or(name.as_str().into(), |name| name.to_string_lossy())
+                .into_owned(),
+            jerk_mps3: 0.0,
+            contacts_percent: 0.0,
+            is_untrained: !name.ends_with(".safetensors"),
+        }
+    }
+
+    /// Returns the position on the logarithmic axes of the figure, within their ends.
     fn position(&self) -> (f64, f64) {
-        (self.jerk_mps3, self.contacts_percent)
+        (
+            self.jerk_mps3
+                .clamp(JERK_TICKS_MPS3[0], JERK_TICKS_MPS3[7])
+                .log10(),
+            self.contacts_percent
+                .clamp(CONTACT_TICKS_PERCENT[0], CONTACT_TICKS_PERCENT[7])
+                .log10(),
+        )
+    }
+}
+
+impl SpaceTotals {
+    fn add_measures(&mut self, measures: UsefulnessMeasures) {
+        self.hard += u64::from(!measures.hard.is_empty());
+        self.unnecessary += u64::from(!measures.unnecessary.is_empty());
+        self.squares[0] += measures.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
+        self.squares[1] += measures.rms_jerk_mps3.unwrap_or(0.0).powi(2);
+        self.induced_braking_mps2
+            .extend(measures.induced.and_then(|induced| induced.peak_brake_mps2));
+        if let Some(following) = measures.following {
+            self.fell_behind += u64::from(following.fell_behind);
+            self.progress.extend(following.progress);
+            self.time_gap_s.extend(following.mean_time_gap_s);
+        }
     }
 }
 
@@ -118,6 +158,27 @@ impl FollowerChange {
     }
 }
 
+impl std::str::FromStr for FollowerChange {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name {
+            "later" => Ok(Self::Later),
+            "softer" => Ok(Self::Softer),
+            "no-brake" => Ok(Self::NoBrake),
+            other => Err(format!("`{other}` is no change of the follower")),
+        }
+    }
+}
+
+fn find_space_name(name: &str) -> Result<&'static str, String> {
+    BUILT_IN_SPACES
+        .iter()
+        .map(|(built_in, ..)| *built_in)
+        .find(|built_in| *built_in == name)
+        .ok_or_else(|| format!("there is no built-in space `{name}`"))
+}
+
 impl SpaceComparisonArgs {
     fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Self, ExperimentError> {
         let draws = arguments.next().ok_or("how many draws?")?;
@@ -129,129 +190,163 @@ impl SpaceComparisonArgs {
                 );
             }
         };
-        let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut seed, mut estimator, mut follower) =
-            (SEED, EstimatorKind::Kalman, FollowerChange::None);
+        let mut parsed = Self {
+            draws,
+            controllers: Vec::new(),
+            figures: Vec::new(),
+            spaces: Vec::new(),
+            seed: SEED,
+            estimator: EstimatorKind::Kalman,
+            follower: FollowerChange::None,
+        };
         for argument in arguments {
-            if let Some(number) = argument.strip_prefix("seed=") {
-                seed = number
-                    .parse()
-                    .map_err(|_| format!("`{number}` is no seed"))?;
-            } else if argument == "estimator=truth" {
-                estimator = EstimatorKind::Truth;
-            } else if let Some(name) = argument.strip_prefix("follower=") {
-                follower = match name {
-                    "later" => FollowerChange::Later,
-                    "softer" => FollowerChange::Softer,
-                    "no-brake" => FollowerChange::NoBrake,
-                    other => return Err(format!("`{other}` is no change of the follower").into()),
-                };
-            } else if let Some(name) = argument.strip_prefix("space=") {
-                let known = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name);
-                spaces.push(
-                    known
-                        .ok_or_else(|| format!("there is no built-in space `{name}`"))?
-                        .0,
-                );
-            } else if argument.ends_with(".svg") {
-                figures.push(argument);
-            } else {
-                controllers.push(find_and_try(&argument, Path::new(""))?);
-            }
+            parsed.add(argument)?;
         }
-        if controllers.is_empty() {
+        if parsed.controllers.is_empty() {
             return Err("which controllers?".into());
         }
-        if spaces.is_empty() {
-            spaces.extend(BUILT_IN_SPACES.iter().map(|(name, ..)| *name));
+        if parsed.spaces.is_empty() {
+            let names = BUILT_IN_SPACES.iter().map(|(name, ..)| *name);
+            parsed.spaces.extend(names);
         }
         if let Some(missing) = [EMERGENCY_SPACE, TRAFFIC_SPACE]
             .iter()
-            .find(|space| !figures.is_empty() && !spaces.contains(space))
+            .find(|space| !parsed.figures.is_empty() && !parsed.spaces.contains(space))
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
-        Ok(Self {
-            draws,
-            controllers,
-            figures,
-            spaces,
-            seed,
-            estimator,
-            follower,
-        })
+        Ok(parsed)
+    }
+
+    /// Adds an argument after the number of random scenarios.
+    fn add(&mut self, argument: String) -> Result<(), ExperimentError> {
+        if let Some(number) = argument.strip_prefix("seed=") {
+            self.seed = number
+                .parse()
+                .map_err(|_| format!("`{number}` is no seed"))?;
+        } else if argument == "estimator=truth" {
+            self.estimator = EstimatorKind::Truth;
+        } else if let Some(name) = argument.strip_prefix("follower=") {
+            self.follower = name.parse()?;
+        } else if let Some(name) = argument.strip_prefix("space=") {
+            self.spaces.push(find_space_name(name)?);
+        } else if argument.ends_with(".svg") {
+            self.figures.push(argument);
+        } else {
+            self.controllers
+                .push(find_and_try(&argument, Path::new(""))?);
+        }
+        Ok(())
+    }
+
+    /// Simulates the random scenarios of a space with a controller.
+    fn simulate_draws(
+        &self,
+        space: &str,
+        controller: &NamedController,
+    ) -> Result<SpaceTotals, ExperimentError> {
+        let space = built_in_space(space).ok_or("no such space")?;
+        let options = RunOptions::new(controller.source.clone()).with_estimator(self.estimator);
+        let mut totals = SpaceTotals::default();
+        for from in (0..self.draws).step_by(BLOCK as usize) {
+            let scenarios = (from..self.draws.min(from + BLOCK))
+                .map(|index| self.follower.apply(space.draw(self.seed, index)?))
+                .collect::<Result<Vec<_>, _>>()?;
+            let runs = scenarios
+                .iter()
+                .map(|scenario| Run::new(scenario, options.clone()))
+                .collect::<Result<Vec<_>, _>>()?;
+            let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+                let measures = result
+                    .trace
+                    .as_ref()
+                    .and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
+                (result.outcome.contact().copied(), measures)
+            });
+            for (contact, measures) in results {
+                totals.contacts += u64::from(contact.is_some());
+                totals.leader_contacts +=
+                    u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
+                if let Some(measures) = measures {
+                    totals.add_measures(measures);
+                }
+            }
+        }
+        Ok(totals)
     }
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let SpaceComparisonArgs {
-        draws,
-        controllers,
-        figures,
-        spaces,
-        seed,
-        estimator,
-        follower,
-    } = SpaceComparisonArgs::parse(arguments.iter().cloned())?;
+    let arguments = SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
         "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | \
          progress | time gap s | imposed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
-    let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
-        name: Path::new(name)
-            .file_name()
-            .map_or(name.as_str().into(), |name| name.to_string_lossy())
-            .into_owned(),
-        jerk_mps3: 0.0,
-        contacts_percent: 0.0,
-        is_untrained: !name.ends_with(".safetensors"),
-    };
-    let mut front: Vec<ParetoPoint> = controllers.iter().map(mark_of).collect();
-    for space in spaces {
-        for (controller, mark) in controllers.iter().zip(&mut front) {
-            let name = &controller.name;
-            let sums = simulate_draws(space, controller, draws, seed, (estimator, follower))?;
-            let n = draws as f64;
-            let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
-            let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
-            let bounds = RateInterval::clopper_pearson(sums.contacts, draws, 0.95);
-            println!(
-                "| {space} | {name} | {} ({:.2} to {:.2}) | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.3} | {:.3} | \
-                 {:.2} | {:.2} |",
-                sums.contacts,
-                100.0 * bounds.lower,
-                100.0 * bounds.upper,
-                sums.leader_contacts,
-                sums.hard,
-                sums.unnecessary,
-                sums.fell_behind,
-                (sums.squares[0] / n).sqrt(),
-                mean(&sums.progress),
-                mean(&sums.time_gap_s),
-                mean(&sums.induced_braking_mps2),
-            );
+    let mut front: Vec<ParetoPoint> = arguments.controllers.iter().map(ParetoPoint::new).collect();
+    for &space in &arguments.spaces {
+        for (controller, point) in arguments.controllers.iter().zip(&mut front) {
+            let totals = arguments.simulate_draws(space, controller)?;
+            print_totals(space, &controller.name, &totals, arguments.draws);
+            let n = arguments.draws as f64;
             match space {
-                EMERGENCY_SPACE => mark.contacts_percent = 100.0 * sums.contacts as f64 / n,
-                TRAFFIC_SPACE => mark.jerk_mps3 = rms_jerk_mps3,
+                EMERGENCY_SPACE => point.contacts_percent = 100.0 * totals.contacts as f64 / n,
+                TRAFFIC_SPACE => point.jerk_mps3 = (totals.squares[1] / n).sqrt(),
                 _ => {}
             }
         }
     }
+    print_line_gains(&arguments.controllers, arguments.estimator)?;
+    for file in &arguments.figures {
+        std::fs::write(file, draw_front(&front, arguments.draws).document())
+            .map_err(|error| format!("{file}: {error}"))?;
+    }
+    Ok(())
+}
+
+fn print_totals(space: &str, name: &str, totals: &SpaceTotals, draws: u64) {
+    let n = draws as f64;
+    let bounds = RateInterval::clopper_pearson(totals.contacts, draws, 0.95);
+    println!(
+        "| {space} | {name} | {} ({:.2} to {:.2}) | {} | {} | {} | {} | {:.2} | {:.3} | {:.3} | {:.2} | {:.2} |",
+        totals.contacts,
+        100.0 * bounds.lower,
+        100.0 * bounds.upper,
+        totals.leader_contacts,
+        totals.hard,
+        totals.unnecessary,
+        totals.fell_behind,
+        (totals.squares[0] / n).sqrt(),
+        (totals.squares[1] / n).sqrt(),
+        mean(&totals.progress),
+        mean(&totals.time_gap_s),
+        mean(&totals.induced_braking_mps2),
+    );
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// Prints the gain of a line of five vehicles for each controller.
+fn print_line_gains(
+    controllers: &[NamedController],
+    estimator: EstimatorKind,
+) -> Result<(), ExperimentError> {
     println!("\n| controller | gain of a line of five |\n|---|---|");
     let line = speed_dip(5, TIME_GAP_S)?;
-    for controller in &controllers {
+    for controller in controllers {
         let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
-        let run = simulate(&Run::new(&line, options)?, RecordingLevel::Trace);
-        let found = run.trace.as_ref().filter(|_| run.outcome.is_safe());
-        let found =
-            found.and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S));
-        let gain = found.map_or("none".to_owned(), |found| format!("{:.2}", found.overall));
+        let result = simulate(&Run::new(&line, options)?, RecordingLevel::Trace);
+        let gain = result
+            .trace
+            .as_ref()
+            .filter(|_| result.outcome.is_safe())
+            .and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S))
+            .map_or("none".to_owned(), |amplification| {
+                format!("{:.2}", amplification.overall)
+            });
         println!("| {} | {gain} |", controller.name);
-    }
-    for file in figures {
-        std::fs::write(&file, draw_front(&front, draws).document())
-            .map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
@@ -264,53 +359,33 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
         width: 640.0,
         height: 360.0,
     };
-    let axis = |unit: &str, ticks: &[f64]| {
-        let ends = (ticks[0].log10(), ticks[ticks.len() - 1].log10());
-        Axis::with_ticks(
-            unit,
-            ends,
-            ticks
-                .iter()
-                .map(|tick| (tick.log10(), tick.to_string()))
-                .collect(),
-        )
-    };
     let title = "Collisions in high-risk (%) against rms of jerk in everyday traffic";
-    let (x, y) = (
-        [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0],
-        [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0],
+    let mut panel = Panel::new(
+        frame,
+        title,
+        logarithmic_axis("m/s³", &JERK_TICKS_MPS3),
+        logarithmic_axis("", &CONTACT_TICKS_PERCENT),
     );
-    let mut panel = Panel::new(frame, title, axis("m/s³", &x), axis("", &y));
-    let position = |mark: &ParetoPoint| {
-        let (jerk, contacts) = mark.position();
-        (
-            jerk.clamp(x[0], x[7]).log10(),
-            contacts.clamp(y[0], y[7]).log10(),
-        )
-    };
-    for (index, mark) in front.iter().enumerate() {
-        let at = position(mark);
-        let others = front
+    let positions: Vec<(f64, f64)> = front.iter().map(ParetoPoint::position).collect();
+    for (index, (point, &(x, y))) in front.iter().zip(&positions).enumerate() {
+        // The label is on the left if the nearest mark to the right would be under it.
+        let is_left = positions
             .iter()
             .enumerate()
             .filter(|(other, _)| *other != index)
-            .map(|(_, other)| position(other));
-        // The label is on the left if the nearest mark to the right would be under it.
-        let is_left = others
-            .into_iter()
-            .any(|(x, y)| (0.0..0.6).contains(&(x - at.0)) && (y - at.1).abs() < 0.08);
-        let marker = if mark.is_untrained {
+            .any(|(_, other)| (0.0..0.6).contains(&(other.0 - x)) && (other.1 - y).abs() < 0.08);
+        let marker = if point.is_untrained {
             Marker::Cross
         } else {
             Marker::Ring
         };
-        panel.add_markers(&[at], marker, Ink::Series(usize::from(!mark.is_untrained)));
-        let (side, anchor) = if is_left {
-            (-0.03, Anchor::End)
+        let ink = Ink::Series(usize::from(!point.is_untrained));
+        panel.add_markers(&[(x, y)], marker, ink);
+        if is_left {
+            panel.add_note((x - 0.03, y), Anchor::End, &point.name, Ink::Muted);
         } else {
-            (0.03, Anchor::Start)
-        };
-        panel.add_note((at.0 + side, at.1), anchor, &mark.name, Ink::Muted);
+            panel.add_note((x + 0.03, y), Anchor::Start, &point.name, Ink::Muted);
+        }
     }
     let content = panel.draw(&Svg::id("front", "frame"));
     let description =
@@ -327,51 +402,16 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
     )
 }
 
-fn simulate_draws(
-    space: &str,
-    controller: &NamedController,
-    draws: u64,
-    seed: u64,
-    (estimator, follower): (EstimatorKind, FollowerChange),
-) -> Result<SpaceTotals, ExperimentError> {
-    let space = built_in_space(space).ok_or("no such space")?;
-    let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
-    let mut sums = SpaceTotals::default();
-    for from in (0..draws).step_by(BLOCK as usize) {
-        let scenarios = (from..draws.min(from + BLOCK))
-            .map(|index| follower.apply(space.draw(seed, index)?))
-            .collect::<Result<Vec<_>, _>>()?;
-        let runs = scenarios
+fn logarithmic_axis(unit: &str, ticks: &[f64]) -> Axis {
+    let ends = (ticks[0].log10(), ticks[ticks.len() - 1].log10());
+    Axis::with_ticks(
+        unit,
+        ends,
+        ticks
             .iter()
-            .map(|one| Run::new(one, options.clone()))
-            .collect::<Result<Vec<_>, _>>()?;
-        let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            let useful = result
-                .trace
-                .as_ref()
-                .and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
-            (result.outcome.contact().copied(), useful)
-        });
-        for (contact, useful) in results {
-            sums.contacts += u64::from(contact.is_some());
-            sums.leader_contacts +=
-                u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
-            let Some(useful) = useful else { continue };
-            sums.hard += u64::from(!useful.hard.is_empty());
-            sums.unnecessary += u64::from(!useful.unnecessary.is_empty());
-            sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
-            sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-            sums.induced_braking_mps2
-                .extend(useful.induced.and_then(|imposed| imposed.peak_brake_mps2));
-            let Some(following) = useful.following else {
-                continue;
-            };
-            sums.fell_behind += u64::from(following.fell_behind);
-            sums.progress.extend(following.progress);
-            sums.time_gap_s.extend(following.mean_time_gap_s);
-        }
-    }
-    Ok(sums)
+            .map(|tick| (tick.log10(), tick.to_string()))
+            .collect(),
+    )
 }
 
 #[cfg(test)]

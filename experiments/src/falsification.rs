@@ -73,17 +73,18 @@ pub(crate) fn print_table(
     println!("| problem | falsified by `{method}` | mean evaluations | standard error |");
     println!("|---|---|---|---|");
     for problem in problems {
-        let found = problem.successes(&method, first, seeds)?;
-        let mean = mean(&found);
-        let square = found
+        let successes = problem.successes(&method, first, seeds)?;
+        let mean = mean(&successes);
+        let squares = successes
             .iter()
-            .map(|&one| (one as f64 - mean).powi(2))
+            .map(|&evaluations| (evaluations as f64 - mean).powi(2))
             .sum::<f64>();
-        let error = (square / (found.len() as f64 - 1.0) / found.len() as f64).sqrt();
+        let count = successes.len() as f64;
+        let error = (squares / (count - 1.0) / count).sqrt();
         println!(
             "| {} | {} of {seeds} | {mean:.1} | {error:.1} |",
             problem.name,
-            found.len()
+            successes.len()
         );
     }
     Ok(())

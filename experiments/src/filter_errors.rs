@@ -26,13 +26,14 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let tuning = EgoTuning::new(scenario.spec().step_s, &scenario.spec().sensors);
     let [_, own_mps, own_mps2] = tuning.position().steady_deviations();
     let [gap_m, rate_mps, rate_mps2] = tuning.gap().steady_deviations();
-    let (other_mps, other_mps2) = (own_mps.hypot(rate_mps), own_mps2.hypot(rate_mps2));
+    let other_mps = own_mps.hypot(rate_mps);
+    let other_mps2 = own_mps2.hypot(rate_mps2);
     let deviations = [
         gap_m, gap_m, other_mps, own_mps, other_mps, other_mps2, own_mps2, other_mps2,
     ];
     let errors: Vec<String> = deviations
         .iter()
-        .map(|one| format!("{:.4e}", factor * DEVIATIONS * one))
+        .map(|deviation| format!("{:.4e}", factor * DEVIATIONS * deviation))
         .collect();
     println!("observation_error = [{}]", errors.join(", "));
     Ok(())

@@ -81,9 +81,15 @@ const EXPERIMENTS: [Experiment; 8] = [
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let named = arguments.split_first();
-    let found = named
-        .and_then(|(name, rest)| Some((EXPERIMENTS.iter().find(|one| one.name == name)?, rest)));
-    let Some((experiment, rest)) = found else {
+    let selected = named.and_then(|(name, rest)| {
+        Some((
+            EXPERIMENTS
+                .iter()
+                .find(|experiment| experiment.name == name)?,
+            rest,
+        ))
+    });
+    let Some((experiment, rest)) = selected else {
         eprintln!("error: name an experiment:");
         for Experiment {
             name, arguments, ..

@@ -20,9 +20,33 @@ const SEED: u64 = 55;
 const BLOCK: u64 = 1000;
 const PLANTS: [PlantKind; 2] = [PlantKind::PointMass, PlantKind::MultiBody];
 
-type Condition = (&'static str, PlantKind, SensorFaults);
+/// Plant and sensor faults of a row of the table.
+struct SensorCondition {
+    name: &'static str,
+    plant: PlantKind,
+    faults: SensorFaults,
+}
 
-fn conditions() -> Vec<Condition> {
+fn conditions() -> Vec<SensorCondition> {
+    let no_fault = SensorCondition {
+        name: "no fault",
+        plant: PlantKind::PointMass,
+        faults: SensorFaults::default(),
+    };
+    let multi_body = SensorCondition {
+        name: "multi-body",
+        plant: PlantKind::MultiBody,
+        faults: SensorFaults::default(),
+    };
+    let faulty = sensor_faults().map(|(name, faults)| SensorCondition {
+        name,
+        plant: PlantKind::PointMass,
+        faults,
+    });
+    [no_fault, multi_body].into_iter().chain(faulty).collect()
+}
+
+fn sensor_faults() -> [(&'static str, SensorFaults); 7] {
     let none = SensorFaults::default;
     let ghost = GhostObject {
         onset_s: 1.0,
@@ -30,7 +54,7 @@ fn conditions() -> Vec<Condition> {
         gap_m: 10.0,
         speed_mps: 0.0,
     };
-    let faults = [
+    [
         (
             "latency 0.2 s",
             SensorFaults {
@@ -82,28 +106,19 @@ fn conditions() -> Vec<Condition> {
                 ..none()
             },
         ),
-    ];
-    let plants = [
-        ("no fault", PLANTS[0], none()),
-        ("multi-body", PLANTS[1], none()),
-    ];
-    plants
-        .into_iter()
-        .chain(faults.map(|(name, faults)| (name, PLANTS[0], faults)))
-        .collect()
+    ]
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let (runs, controllers) = arguments
-        .split_first()
-        .ok_or("the number of runs is missing")?;
+    let [runs, controllers @ ..] = arguments else {
+        return Err("the number of runs is missing".into());
+    };
     let runs = runs
         .parse()
         .map_err(|_| format!("`{runs}` is no number of runs"))?;
-    let find = |name: &String| Controllers::default().find(name, Path::new(""));
     let controllers = controllers
         .iter()
-        .map(find)
+        .map(|name| Controllers::default().find(name, Path::new("")))
         .collect::<Result<Vec<_>, _>>()?;
     let space = built_in_space("high-risk").ok_or("no such space")?;
     let names: Vec<_> = controllers
@@ -118,44 +133,57 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     for condition in conditions() {
         let counts = controllers
             .iter()
-            .map(|controller| count_collisions(&space, controller, &condition, runs));
-        let counts = counts.collect::<Result<Vec<_>, _>>()?;
-        let cells = counts.iter().map(|&count| {
+            .map(|controller| count_collisions(&space, controller, &condition, runs))
+            .collect::<Result<Vec<_>, _>>()?;
+        print_counts(condition.name, &counts, &names, runs);
+    }
+    PLANTS
+        .into_iter()
+        .try_for_each(|plant| print_paper_collisions(plant, &controllers, &names))
+}
+
+/// Prints the shares of collisions under a condition, and the controllers with the safest first.
+fn print_counts(condition: &str, counts: &[u64], names: &[&str], runs: u64) {
+    let cells: Vec<String> = counts
+        .iter()
+        .map(|&count| {
             let interval = RateInterval::clopper_pearson(count, runs, 0.95);
             let [share, low, high] = [count as f64 / runs as f64, interval.lower, interval.upper]
                 .map(|share| 100.0 * share);
             format!("{share:.2} ({low:.2} to {high:.2})")
-        });
-        let cells: Vec<_> = cells.collect();
-        let mut ranking: Vec<_> = counts.iter().zip(&names).collect();
-        ranking.sort();
-        let ranking: Vec<_> = ranking.into_iter().map(|(_, name)| *name).collect();
-        println!(
-            "| {} | {} | {} |",
-            condition.0,
-            cells.join(" | "),
-            ranking.join(", ")
-        );
-    }
-    for plant in PLANTS {
-        println!(
-            "\n| {} | {} |\n|---|{}",
-            plant.name(),
-            names.join(" | "),
-            "---|".repeat(names.len())
-        );
-        for name in ["paper-1", "paper-2", "paper-3"] {
-            let scenario = built_in_scenario(name)
-                .ok_or("no such scenario")?
-                .with_plant(plant)?;
-            let cells = controllers
-                .iter()
-                .map(|controller| describe_impacts(&scenario, controller));
-            println!(
-                "| {name} | {} |",
-                cells.collect::<Result<Vec<_>, _>>()?.join(" | ")
-            );
-        }
+        })
+        .collect();
+    let mut ranking: Vec<_> = counts.iter().zip(names).collect();
+    ranking.sort();
+    let ranking: Vec<_> = ranking.into_iter().map(|(_, name)| *name).collect();
+    println!(
+        "| {condition} | {} | {} |",
+        cells.join(" | "),
+        ranking.join(", ")
+    );
+}
+
+/// Prints the collisions in the scenarios of the paper with a plant.
+fn print_paper_collisions(
+    plant: PlantKind,
+    controllers: &[NamedController],
+    names: &[&str],
+) -> Result<(), ExperimentError> {
+    println!(
+        "\n| {} | {} |\n|---|{}",
+        plant.name(),
+        names.join(" | "),
+        "---|".repeat(names.len())
+    );
+    for name in ["paper-1", "paper-2", "paper-3"] {
+        let scenario = built_in_scenario(name)
+            .ok_or("no such scenario")?
+            .with_plant(plant)?;
+        let cells = controllers
+            .iter()
+            .map(|controller| describe_impacts(&scenario, controller))
+            .collect::<Result<Vec<_>, _>>()?;
+        println!("| {name} | {} |", cells.join(" | "));
     }
     Ok(())
 }
@@ -163,22 +191,20 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
 fn count_collisions(
     space: &ScenarioSpace,
     controller: &NamedController,
-    (_, plant, faults): &Condition,
+    condition: &SensorCondition,
     runs: u64,
 ) -> Result<u64, ExperimentError> {
     let mut count = 0;
     for from in (0..runs).step_by(BLOCK as usize) {
-        let prepare = |index| -> Result<Run, ExperimentError> {
-            let scenario = space.draw(SEED, index)?.with_plant(*plant)?;
-            let faulty = scenario.edited(|spec| spec.sensors.faults = faults.clone())?;
-            Ok(Run::new(
-                &faulty,
-                RunOptions::new(controller.source.clone()),
-            )?)
-        };
         let block = (from..runs.min(from + BLOCK))
-            .map(prepare)
-            .collect::<Result<Vec<_>, _>>()?;
+            .map(|index| {
+                let scenario = space.draw(SEED, index)?.with_plant(condition.plant)?;
+                let faulty =
+                    scenario.edited(|spec| spec.sensors.faults = condition.faults.clone())?;
+                let options = RunOptions::new(controller.source.clone());
+                Ok(Run::new(&faulty, options)?)
+            })
+            .collect::<Result<Vec<_>, ExperimentError>>()?;
         let failed = simulate_batch(&block, RecordingLevel::Summary, |_, simulated| {
             !simulated.outcome.is_safe()
         });

@@ -40,7 +40,10 @@ const MEASURES: [(&str, bool); 3] = [
 /// Returns the results of a method with one seed, in the order of [`MEASURES`].
 fn method_measures(summary: &CampaignSummary, method: &Method, budget: u64) -> Option<[f64; 3]> {
     let name = method.name();
-    let of_method = summary.methods.iter().find(|one| one.method == name)?;
+    let of_method = summary
+        .methods
+        .iter()
+        .find(|summary| summary.method == name)?;
     let kinds = summary
         .failures
         .iter()
@@ -56,7 +59,8 @@ fn permutation_p_value(above: &[f64], below: &[f64]) -> f64 {
     let all = [above, below].concat();
     let total: f64 = all.iter().sum();
     let observed: f64 = above.iter().sum();
-    let (mut deals, mut as_far) = (0_u32, 0_u32);
+    let mut permutations = 0_u32;
+    let mut as_extreme = 0_u32;
     for chosen in
         (0..1_u32 << all.len()).filter(|chosen| chosen.count_ones() as usize == above.len())
     {
@@ -64,10 +68,10 @@ fn permutation_p_value(above: &[f64], below: &[f64]) -> f64 {
             .filter(|i| chosen >> i & 1 == 1)
             .map(|i| all[i])
             .sum();
-        deals += 1;
-        as_far += u32::from(sum >= observed - 1e-12 * total.abs());
+        permutations += 1;
+        as_extreme += u32::from(sum >= observed - 1e-12 * total.abs());
     }
-    f64::from(as_far) / f64::from(deals)
+    f64::from(as_extreme) / f64::from(permutations)
 }
 
 fn mean(values: &[f64]) -> f64 {
@@ -85,54 +89,68 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     println!("| space | controller | measure (mean of {seeds} seeds) | {names} | p |");
     println!("|---|---|---|{}---|", "---|".repeat(METHODS.len()));
     for (space, controller) in PROBLEMS {
-        let mut found: [[Vec<f64>; 3]; METHODS.len()] = Default::default();
-        for seed in 0..seeds {
-            // Both campaigns also run `uniform` and `halton`, as reference searches.
-            let [with_auto, with_cma_es] = [Method::Auto, Method::CmaEs]
-                .map(|method| run_campaign(space, controller, method, budget, seed));
-            let (with_auto, with_cma_es) = (with_auto?, with_cma_es?);
-            for (method, found) in METHODS.iter().zip(&mut found) {
-                let summary = if *method == Method::CmaEs {
-                    &with_cma_es
-                } else {
-                    &with_auto
-                };
-                let reached =
-                    method_measures(summary, method, budget).ok_or("a method that was not run")?;
-                found
-                    .iter_mut()
-                    .zip(reached)
-                    .for_each(|(all, one)| all.push(one));
-            }
-        }
+        let results = compare_methods(space, controller, budget, seeds)?;
         for (measure, (name, more_is_better)) in MEASURES.into_iter().enumerate() {
-            // Change signs so that smaller is better.
-            let sign = if more_is_better { -1.0 } else { 1.0 };
-            let signed: Vec<Vec<f64>> = found
-                .iter()
-                .map(|of| of[measure].iter().map(|value| sign * value).collect())
-                .collect();
-            let best = signed[1..]
-                .iter()
-                .min_by(|a, b| mean(a).total_cmp(&mean(b)))
-                .ok_or("no other method")?;
-            let behind = mean(&signed[0]) > mean(best);
-            let p = if behind {
-                format!("{:.3}", permutation_p_value(&signed[0], best))
-            } else {
-                String::new()
-            };
-            let means: Vec<String> = found
-                .iter()
-                .map(|of| format!("{:.1}", mean(&of[measure])))
-                .collect();
+            let of_methods = results.each_ref().map(|of_method| &of_method[measure]);
+            let means = of_methods.map(|values| format!("{:.1}", mean(values)));
             println!(
-                "| {space} | {controller} | {name} | {} | {p} |",
-                means.join(" | ")
+                "| {space} | {controller} | {name} | {} | {} |",
+                means.join(" | "),
+                describe_p_value(of_methods, more_is_better)?
             );
         }
     }
     Ok(())
+}
+
+/// For each method and measure, the results with each seed.
+type MethodResults = [[Vec<f64>; 3]; METHODS.len()];
+
+fn compare_methods(
+    space: &str,
+    controller: &str,
+    budget: u64,
+    seeds: u64,
+) -> Result<MethodResults, ExperimentError> {
+    let mut results = MethodResults::default();
+    for seed in 0..seeds {
+        // Both campaigns also run `uniform` and `halton`, as reference searches.
+        let with_auto = run_campaign(space, controller, Method::Auto, budget, seed)?;
+        let with_cma_es = run_campaign(space, controller, Method::CmaEs, budget, seed)?;
+        for (method, of_method) in METHODS.iter().zip(&mut results) {
+            let summary = if *method == Method::CmaEs {
+                &with_cma_es
+            } else {
+                &with_auto
+            };
+            let measures =
+                method_measures(summary, method, budget).ok_or("a method that was not run")?;
+            for (values, value) in of_method.iter_mut().zip(measures) {
+                values.push(value);
+            }
+        }
+    }
+    Ok(results)
+}
+
+/// Returns the p value if the first method is worse than the best of the others, otherwise nothing.
+fn describe_p_value(
+    of_methods: [&Vec<f64>; METHODS.len()],
+    more_is_better: bool,
+) -> Result<String, ExperimentError> {
+    // Change signs so that smaller is better.
+    let sign = if more_is_better { -1.0 } else { 1.0 };
+    let signed: [Vec<f64>; METHODS.len()] =
+        of_methods.map(|values| values.iter().map(|value| sign * value).collect());
+    let best = signed[1..]
+        .iter()
+        .min_by(|a, b| mean(a).total_cmp(&mean(b)))
+        .ok_or("no other method")?;
+    Ok(if mean(&signed[0]) > mean(best) {
+        format!("{:.3}", permutation_p_value(&signed[0], best))
+    } else {
+        String::new()
+    })
 }
 
 fn run_campaign(

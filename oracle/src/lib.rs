@@ -67,6 +67,15 @@ impl Mlp {
         Ok(Self { vars })
     }
 
+    /// Returns the gradient of a loss in the order of the parameters.
+    fn gradient(&self, loss: &Tensor) -> Result<Vec<f32>> {
+        let gradients = loss.backward()?;
+        self.flatten(|var| match gradients.get(var) {
+            Some(gradient) => Ok(gradient.clone()),
+            None => var.zeros_like(),
+        })
+    }
+
     fn forward(&self, input: &Tensor) -> Result<Tensor> {
         let mut value = input.clone();
         let layers = self.vars.chunks_exact(2);
@@ -218,15 +227,14 @@ impl ReferenceLearner {
     pub fn update(&mut self, batch: &Batch, noise: &mut Stream) -> Result<Losses> {
         let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
-        let number = |tensor: Tensor| tensor.to_dtype(DType::F64)?.to_scalar::<f64>();
         let mut losses = Losses::default();
         for index in 0..self.critics.len() {
             let (loss, values) = self.critic_loss(&self.critics[index], &rows, &td_targets)?;
             self.critics[index].optimiser.backward_step(&loss)?;
             if index == 0 {
                 losses = Losses {
-                    critic_loss: number(loss)?,
-                    mean_value: number(values.mean_all()?)?,
+                    critic_loss: loss.to_dtype(DType::F64)?.to_scalar()?,
+                    mean_value: values.mean_all()?.to_dtype(DType::F64)?.to_scalar()?,
                 };
             }
         }
@@ -250,22 +258,13 @@ impl ReferenceLearner {
     pub fn gradients(&self, batch: &Batch, noise: &mut Stream) -> Result<Gradients> {
         let rows = BatchTensors::new(batch)?;
         let td_targets = self.td_targets(&rows, noise)?;
-        let gradients = |network: &Mlp, loss: Tensor| {
-            let store = loss.backward()?;
-            network.flatten(|var| match store.get(var) {
-                Some(gradient) => Ok(gradient.clone()),
-                None => var.zeros_like(),
-            })
-        };
         let critics = self.critics.iter().map(|critic| {
-            gradients(
-                &critic.network,
-                self.critic_loss(critic, &rows, &td_targets)?.0,
-            )
+            let loss = self.critic_loss(critic, &rows, &td_targets)?.0;
+            critic.network.gradient(&loss)
         });
         Ok((
             critics.collect::<Result<_>>()?,
-            gradients(&self.actor.network, self.actor_loss(&rows)?)?,
+            self.actor.network.gradient(&self.actor_loss(&rows)?)?,
         ))
     }
 

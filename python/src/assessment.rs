@@ -103,40 +103,37 @@ pub(crate) fn assess(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<PyAssessment> {
     let stop = StopFlag::default();
-    let wrong = |error: &dyn std::fmt::Display| {
-        errors::exception(py, ExceptionClass::Assessment, &error.to_string())
-    };
     let own = controllers
         .iter()
-        .map(|one| controller::resolve_controller(one, &stop))
+        .map(|controller| controller::resolve_controller(controller, &stop))
         .collect::<PyResult<Vec<_>>>()?;
     let plan = match &path {
-        Some(path) if own.is_empty() => {
-            AssessmentPlan::load(path, super::controller::controllers())
-                .map_err(|error| config_exception(py, &error))?
-        }
+        Some(path) if own.is_empty() => AssessmentPlan::load(path, controller::controllers()),
         _ => {
-            let (mut config, folder) = read_config(py, path.as_deref(), toml, json)?;
-            config.controllers_of_files = super::controller::controllers();
-            AssessmentPlan::new(config, own, &folder)
-                .map_err(|error| config_exception(py, &error))?
+            let mut config = read_config(py, path.as_deref(), toml, json)?;
+            config.controllers_of_files = controller::controllers();
+            let folder = path.as_deref().and_then(Path::parent);
+            AssessmentPlan::new(config, own, folder.unwrap_or(Path::new("")))
         }
     };
+    let plan = plan.map_err(|error| config_exception(py, &error))?;
     let against = against
         .as_deref()
         .map(EarlierAssessment::load)
         .transpose()
-        .map_err(|error| wrong(&error))?;
+        .map_err(|error| assessment_error(py, &error))?;
     if against.is_none() && plan.needs_earlier_assessment() {
-        return Err(wrong(
+        return Err(assessment_error(
+            py,
             &"the gate `nothing-worse` needs an earlier assessment: against",
         ));
     }
     let cache = match evidence {
         None => EvidenceCache::disabled(),
         Some(folder) => {
-            let identity = program::identity().map_err(|error| wrong(&error))?;
-            EvidenceCache::open(&folder, identity, fresh).map_err(|error| wrong(&error))?
+            let identity = program::identity().map_err(|error| assessment_error(py, &error))?;
+            EvidenceCache::open(&folder, identity, fresh)
+                .map_err(|error| assessment_error(py, &error))?
         }
     };
     let runs = plan.runs();
@@ -145,36 +142,32 @@ pub(crate) fn assess(
             say((state.done, runs, 0))
         })
     })?;
-    Ok(PyAssessment(assessment.map_err(|error| wrong(&error))?))
+    Ok(PyAssessment(
+        assessment.map_err(|error| assessment_error(py, &error))?,
+    ))
 }
 
-/// Reads the configuration from a file or a text; returns it with the folder of the files that it names.
+fn assessment_error(py: Python<'_>, error: &impl std::fmt::Display) -> PyErr {
+    errors::exception(py, ExceptionClass::Assessment, error)
+}
+
+/// Reads the configuration from a file or a text.
 fn read_config(
     py: Python<'_>,
     path: Option<&Path>,
     toml: Option<String>,
     json: Option<String>,
-) -> PyResult<(AssessConfig, PathBuf)> {
-    let here = PathBuf::new();
-    let of_file = |error| errors::file_exception(py, ExceptionClass::Assessment, &error);
-    if let Some(path) = path {
-        let text = text_file::read(path).map_err(of_file)?;
-        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        return Ok((text_file::parse_toml(&text, path).map_err(of_file)?, folder));
-    }
-    if let Some(text) = toml {
-        return Ok((
-            text_file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?,
-            here,
-        ));
-    }
-    let Some(text) = json else {
-        return Ok((AssessConfig::default(), here));
+) -> PyResult<AssessConfig> {
+    let config = if let Some(path) = path {
+        text_file::read(path).and_then(|text| text_file::parse_toml(&text, path))
+    } else if let Some(text) = toml {
+        text_file::parse_toml(&text, Path::new("<toml>"))
+    } else if let Some(text) = json {
+        text_file::parse_json(&text, Path::new("<dict>"))
+    } else {
+        return Ok(AssessConfig::default());
     };
-    Ok((
-        text_file::parse_json(&text, Path::new("<dict>")).map_err(of_file)?,
-        here,
-    ))
+    config.map_err(|error| errors::file_exception(py, ExceptionClass::Assessment, &error))
 }
 
 fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {

@@ -38,7 +38,8 @@ pub(crate) fn falsify<'py>(
     resume: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
-    let (stop, raised) = (StopFlag::default(), RaisedException::default());
+    let stop = StopFlag::default();
+    let raised = RaisedException::default();
     let campaign = Campaign {
         seed,
         ..campaign(py, controller, &space, spec, against, estimator, &stop)?
@@ -77,7 +78,8 @@ pub(crate) fn compare<'py>(
     estimator: &str,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
-    let (stop, raised) = (StopFlag::default(), RaisedException::default());
+    let stop = StopFlag::default();
+    let raised = RaisedException::default();
     let campaign = Campaign {
         seed,
         ..campaign(py, controller, &space, spec, against, estimator, &stop)?.with_budget(budget)

@@ -94,7 +94,7 @@ impl PyObservation {
             speed_mps: f64::NAN,
             acceleration_mps2: f64::NAN,
         };
-        let (ahead, behind) = (seen.ahead.unwrap_or(ABSENT), seen.behind.unwrap_or(ABSENT));
+        let [ahead, behind] = [seen.ahead, seen.behind].map(|vehicle| vehicle.unwrap_or(ABSENT));
         [
             ahead.gap_m,
             behind.gap_m,
@@ -149,22 +149,9 @@ pub(crate) fn resolve_controller(
             "interval_s must be a positive number of seconds, or None",
         ));
     }
-    let mode = match (
-        controller.getattr("batch")?.is_truthy()?,
-        controller.getattr("each_run")?.is_truthy()?,
-    ) {
-        (false, false) => CallMode::Single,
-        (true, false) => CallMode::Batch,
-        (false, true) => CallMode::PerRun,
-        (true, true) => {
-            return Err(PyValueError::new_err(
-                "a batch has no run of its own: choose batch or each_run",
-            ));
-        }
-    };
-    let called = Arc::new(PythonCallable {
+    let callable = Arc::new(PythonCallable {
         decide: decide.unbind(),
-        mode,
+        mode: CallMode::from_controller(controller)?,
         stop: stop.clone(),
     });
     let identity = controller.getattr("identity")?.extract()?;
@@ -172,7 +159,7 @@ pub(crate) fn resolve_controller(
     Ok(NamedController::from_source(
         &name,
         Arc::new(PythonSource {
-            callable: called,
+            callable,
             interval_s,
             identity,
         }),
@@ -190,6 +177,21 @@ enum CallMode {
 }
 
 /// Callable that is not called any more once `stop` is set.
+impl CallMode {
+    fn from_controller(controller: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let is_batch = controller.getattr("batch")?.is_truthy()?;
+        let is_per_run = controller.getattr("each_run")?.is_truthy()?;
+        match [is_batch, is_per_run] {
+            [false, false] => Ok(Self::Single),
+            [true, false] => Ok(Self::Batch),
+            [false, true] => Ok(Self::PerRun),
+            [true, true] => Err(PyValueError::new_err(
+                "a batch has no run of its own: choose batch or each_run",
+            )),
+        }
+    }
+}
+
 struct PythonCallable {
     decide: Py<PyAny>,
     mode: CallMode,
@@ -254,11 +256,14 @@ impl BatchController for PythonCallable {
         self.check_stop()?;
         let rows: Vec<f64> = seen.iter().flat_map(PyObservation::row).collect();
         Python::attach(|py| {
-            let raised = |error: PyErr| failure_from_exception(py, &error);
             let rows = PyArray1::from_vec(py, rows)
                 .reshape([seen.len(), ROW_WIDTH])
-                .map_err(raised)?;
-            let answered = self.decide.bind(py).call1((rows,)).map_err(raised)?;
+                .map_err(|error| failure_from_exception(py, &error))?;
+            let answered = self
+                .decide
+                .bind(py)
+                .call1((rows,))
+                .map_err(|error| failure_from_exception(py, &error))?;
             let answered: PyArrayLike1<'_, f64, AllowTypeChange> = answered
                 .extract()
                 .map_err(|_| failure(format!("it answered no array of {} numbers", seen.len())))?;

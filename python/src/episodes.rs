@@ -1,6 +1,6 @@
 //! Episodes of the training task in batches, for the Gymnasium environments.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crumple_core::text_file;
 use crumple_learn::rl::{
@@ -13,6 +13,7 @@ use crumple_sim::scenario::Scenario;
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use rayon::ThreadPool;
 use rayon::prelude::*;
 
 use crate::controller::controllers;
@@ -41,6 +42,12 @@ enum Autoreset {
     Disabled,
 }
 
+const AUTORESETS: [(&str, Autoreset); 3] = [
+    ("next-step", Autoreset::NextStep),
+    ("same-step", Autoreset::SameStep),
+    ("disabled", Autoreset::Disabled),
+];
+
 /// Source and configuration of the episodes.
 struct EpisodeTask {
     source: Arc<dyn ScenarioSource>,
@@ -49,7 +56,7 @@ struct EpisodeTask {
 }
 
 impl EpisodeTask {
-    fn new_episode(&self, seed: u64, index: u64) -> Result<(Scenario, TrainingEpisode), String> {
+    fn new_episode(&self, seed: u64, index: u64) -> Result<ScenarioEpisode, String> {
         let scenario = self
             .source
             .draw(seed, index)
@@ -62,15 +69,24 @@ impl EpisodeTask {
         let options = RunOptions::new(idle).with_estimator(self.config.environment().estimator);
         let run = Run::new(&scenario, options).map_err(|error| error.to_string())?;
         let constants = self.config.for_episode(self.source.as_ref(), seed, index);
-        Ok((scenario, TrainingEpisode::new(&run, &constants)))
+        Ok(ScenarioEpisode {
+            episode: TrainingEpisode::new(&run, &constants),
+            scenario,
+        })
     }
+}
+
+/// An episode with its scenario.
+struct ScenarioEpisode {
+    scenario: Scenario,
+    episode: TrainingEpisode,
 }
 
 /// Sequence of episodes of one seed.
 struct SubEnvironment {
     seed: u64,
     next_index: u64,
-    episode: Option<(Scenario, TrainingEpisode)>,
+    current: Option<ScenarioEpisode>,
     is_over: bool,
 }
 
@@ -81,12 +97,60 @@ type StepBuffers<'a> = (
     (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
 );
 
+/// Arrays for the results of a step of all sub-environments.
+struct StepArrays<'a> {
+    states: &'a mut [f32],
+    last_states: &'a mut [f32],
+    rewards: &'a mut [f32],
+    terminated: &'a mut [bool],
+    truncated: &'a mut [bool],
+    endings: &'a mut [u8],
+}
+
+impl StepArrays<'_> {
+    /// Returns the number of sub-environments of each array, with `width` numbers in a state.
+    fn lengths(&self, width: usize) -> [usize; 6] {
+        [
+            self.states.len() / width,
+            self.last_states.len() / width,
+            self.rewards.len(),
+            self.terminated.len(),
+            self.truncated.len(),
+            self.endings.len(),
+        ]
+    }
+}
+
 impl SubEnvironment {
+    fn new(seed: u64) -> Self {
+        Self {
+            seed,
+            next_index: 0,
+            current: None,
+            is_over: false,
+        }
+    }
+
+    /// Begins an episode, from then on with another seed if there is one.
+    fn begin(
+        &mut self,
+        task: &EpisodeTask,
+        seed: Option<u64>,
+        state: &mut [f32],
+    ) -> Result<(), String> {
+        if let Some(seed) = seed {
+            self.seed = seed;
+            self.next_index = 0;
+        }
+        self.reset(task, state)
+    }
+
     fn reset(&mut self, task: &EpisodeTask, state: &mut [f32]) -> Result<(), String> {
-        let (scenario, mut episode) = task.new_episode(self.seed, self.next_index)?;
+        let mut next = task.new_episode(self.seed, self.next_index)?;
         self.next_index += 1;
-        episode.write_state(state);
-        (self.episode, self.is_over) = (Some((scenario, episode)), false);
+        next.episode.write_state(state);
+        self.current = Some(next);
+        self.is_over = false;
         Ok(())
     }
 
@@ -95,7 +159,7 @@ impl SubEnvironment {
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return None;
         }
-        match &self.episode {
+        match &self.current {
             Some(_) if !self.is_over => action.is_nan().then_some("its action is not a number"),
             _ => Some(MUST_BE_RESET),
         }
@@ -112,16 +176,16 @@ impl SubEnvironment {
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return self.reset(task, state);
         }
-        let Some((_, episode)) = self.episode.as_mut().filter(|_| !self.is_over) else {
+        let Some(current) = self.current.as_mut().filter(|_| !self.is_over) else {
             return Err(MUST_BE_RESET.to_owned());
         };
-        let led_to = episode.step(action.clamp(-1.0, 1.0));
-        self.is_over = led_to.ending != EpisodeEnding::None;
-        *reward = led_to.reward;
-        *terminated = self.is_over && !led_to.continues;
-        *truncated = self.is_over && led_to.continues;
-        *ending = ending_code(led_to.ending);
-        episode.write_state(state);
+        let outcome = current.episode.step(action.clamp(-1.0, 1.0));
+        self.is_over = outcome.ending != EpisodeEnding::None;
+        *reward = outcome.reward;
+        *terminated = self.is_over && !outcome.continues;
+        *truncated = self.is_over && outcome.continues;
+        *ending = ending_code(outcome.ending);
+        current.episode.write_state(state);
         if self.is_over && task.autoreset == Autoreset::SameStep {
             last_state.copy_from_slice(state);
             self.reset(task, state)?;
@@ -163,41 +227,28 @@ impl Episodes {
             let problem = format!("there must be 1 to {MAX_EPISODES} environments, found {count}");
             return Err(PyValueError::new_err(problem));
         }
-        let wrong = |error: &dyn std::fmt::Display| {
-            errors::exception(py, ExceptionClass::Training, &error.to_string())
-        };
         let mut config = load_training_config(py, preset)?;
         config.controllers = controllers();
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
-            None => config.scenario_source().map_err(|error| wrong(&error))?,
+            None => config
+                .scenario_source()
+                .map_err(|error| training_error(py, &error))?,
         };
         let mut environment = config.environment;
         if let Some(estimator) = estimator {
             environment.estimator = parse_choice("estimator", estimator, &ESTIMATORS)?;
         }
-        let known = [
-            ("next-step", Autoreset::NextStep),
-            ("same-step", Autoreset::SameStep),
-            ("disabled", Autoreset::Disabled),
-        ];
-        let autoreset = parse_choice("autoreset", autoreset, &known)?;
-        let constants = EpisodeConstants::new(environment, config.learning.discount);
         let task = EpisodeTask {
             source,
-            config: constants,
-            autoreset,
+            config: EpisodeConstants::new(environment, config.learning.discount),
+            autoreset: parse_choice("autoreset", autoreset, &AUTORESETS)?,
         };
-        task.new_episode(0, 0).map_err(|error| wrong(&error))?;
-        let lane = |seed| SubEnvironment {
-            seed,
-            next_index: 0,
-            episode: None,
-            is_over: false,
-        };
+        task.new_episode(0, 0)
+            .map_err(|error| training_error(py, &error))?;
         Ok(Self {
             task,
-            sub_environments: Mutex::new((0..count as u64).map(lane).collect()),
+            sub_environments: Mutex::new((0..count as u64).map(SubEnvironment::new).collect()),
         })
     }
 
@@ -235,46 +286,11 @@ impl Episodes {
         mask: PyReadonlyArray1<'_, bool>,
         mut states: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<()> {
-        let (mask, states, pool) = (mask.as_slice()?, states.as_slice_mut()?, threads::pool()?);
-        let width = self.state_width();
-        py.detach(|| {
-            let mut lanes = self
-                .sub_environments
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner);
-            let count = lanes.len();
-            check_lengths(&[mask.len(), states.len() / width, seeds.len()], count)?;
-            let begin = |(index, ((lane, state), chosen)): (
-                usize,
-                ((&mut SubEnvironment, &mut [f32]), &bool),
-            )| {
-                if !chosen {
-                    return Ok(());
-                }
-                if let Some(Some(seed)) = seeds.get(index) {
-                    (lane.seed, lane.next_index) = (*seed, 0);
-                }
-                lane.reset(&self.task, state)
-            };
-            if pool.current_num_threads() == 1 {
-                let mut rows = lanes
-                    .iter_mut()
-                    .zip(states.chunks_exact_mut(width))
-                    .zip(mask)
-                    .enumerate();
-                return rows.try_for_each(begin);
-            }
-            let rows = lanes
-                .par_iter_mut()
-                .zip(states.par_chunks_exact_mut(width))
-                .zip(mask)
-                .enumerate();
-            pool.install(|| {
-                rows.with_min_len(MIN_EPISODES_PER_THREAD)
-                    .try_for_each(begin)
-            })
-        })
-        .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
+        let mask = mask.as_slice()?;
+        let states = states.as_slice_mut()?;
+        let pool = threads::pool()?;
+        py.detach(|| self.reset_masked(&pool, &seeds, mask, states))
+            .map_err(|error| training_error(py, &error))
     }
 
     /// Makes one decision in every sub-environment, from `actions` into the arrays.
@@ -293,104 +309,141 @@ impl Episodes {
         mut truncated: PyReadwriteArray1<'_, bool>,
         mut endings: PyReadwriteArray1<'_, u8>,
     ) -> PyResult<()> {
-        let (actions, states, last_states) = (
-            actions.as_slice()?,
-            states.as_slice_mut()?,
-            last_states.as_slice_mut()?,
-        );
-        let (rewards, terminated, pool) = (
-            rewards.as_slice_mut()?,
-            terminated.as_slice_mut()?,
-            threads::pool()?,
-        );
-        let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
-        let width = self.state_width();
-        py.detach(|| {
-            let mut lanes = self
-                .sub_environments
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner);
-            let widths = [
-                actions.len(),
-                states.len() / width,
-                last_states.len() / width,
-            ];
-            check_lengths(&widths, lanes.len())?;
-            check_lengths(
-                &[
-                    rewards.len(),
-                    terminated.len(),
-                    truncated.len(),
-                    endings.len(),
-                ],
-                lanes.len(),
-            )?;
-            // Check all actions first: an error halfway would leave some sub-environments a step ahead.
-            let refused = lanes.iter().zip(actions).enumerate();
-            let mut refused = refused.filter_map(|(index, (lane, action))| {
-                Some((index, lane.step_error(&self.task, *action)?))
-            });
-            if let Some((index, why)) = refused.next() {
-                return Err(format!("environment {index}: {why}"));
-            }
-            let step =
-                |((lane, action), results): ((&mut SubEnvironment, &f32), StepBuffers<'_>)| {
-                    lane.step(&self.task, *action, results)
-                };
-            // Passing all work to a single other thread would take a tenth of the step's time.
-            if pool.current_num_threads() == 1 {
-                let states = states
-                    .chunks_exact_mut(width)
-                    .zip(last_states.chunks_exact_mut(width));
-                let ends = terminated.iter_mut().zip(truncated).zip(endings);
-                let results = states.zip(rewards.iter_mut().zip(ends));
-                return lanes
-                    .iter_mut()
-                    .zip(actions)
-                    .zip(results)
-                    .try_for_each(step);
-            }
-            let states = states
-                .par_chunks_exact_mut(width)
-                .zip(last_states.par_chunks_exact_mut(width));
-            let ends = terminated.par_iter_mut().zip(truncated).zip(endings);
-            let rows = lanes
-                .par_iter_mut()
-                .zip(actions)
-                .zip(states.zip(rewards.par_iter_mut().zip(ends)));
-            pool.install(|| {
-                rows.with_min_len(MIN_EPISODES_PER_THREAD)
-                    .try_for_each(step)
-            })
-        })
-        .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
+        let actions = actions.as_slice()?;
+        let arrays = StepArrays {
+            states: states.as_slice_mut()?,
+            last_states: last_states.as_slice_mut()?,
+            rewards: rewards.as_slice_mut()?,
+            terminated: terminated.as_slice_mut()?,
+            truncated: truncated.as_slice_mut()?,
+            endings: endings.as_slice_mut()?,
+        };
+        let pool = threads::pool()?;
+        py.detach(|| self.step_all(&pool, actions, arrays))
+            .map_err(|error| training_error(py, &error))
     }
 
     /// Returns the positions of a sub-environment's vehicles, front to rear: front bumpers and lengths in metres. None
     /// before its first reset.
     fn positions(&self, lane: usize) -> Option<(Vec<f64>, Vec<f64>)> {
-        let lanes = self
-            .sub_environments
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let (scenario, episode) = lanes.get(lane)?.episode.as_ref()?;
-        let position_m = episode.motion().iter().map(|at| at.position_m).collect();
-        Some((
-            position_m,
-            scenario
-                .vehicles()
-                .iter()
-                .map(|vehicle| vehicle.length_m())
-                .collect(),
-        ))
+        let lanes = self.lock();
+        let ScenarioEpisode { scenario, episode } = lanes.get(lane)?.current.as_ref()?;
+        let position_m = episode
+            .motion()
+            .iter()
+            .map(|motion| motion.position_m)
+            .collect();
+        let length_m = scenario
+            .vehicles()
+            .iter()
+            .map(|vehicle| vehicle.length_m())
+            .collect();
+        Some((position_m, length_m))
     }
 
     fn __len__(&self) -> usize {
+        self.lock().len()
+    }
+}
+
+impl Episodes {
+    fn lock(&self) -> MutexGuard<'_, Vec<SubEnvironment>> {
         self.sub_environments
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
-            .len()
     }
+
+    /// Begins an episode in every sub-environment of `mask`.
+    fn reset_masked(
+        &self,
+        pool: &ThreadPool,
+        seeds: &[Option<u64>],
+        mask: &[bool],
+        states: &mut [f32],
+    ) -> Result<(), String> {
+        let width = self.state_width();
+        let mut lanes = self.lock();
+        let lanes = lanes.as_mut_slice();
+        check_lengths(
+            &[mask.len(), states.len() / width, seeds.len()],
+            lanes.len(),
+        )?;
+        if pool.current_num_threads() == 1 {
+            return lanes
+                .iter_mut()
+                .zip(states.chunks_exact_mut(width))
+                .zip(mask.iter().zip(seeds))
+                .filter(|(_, (chosen, _))| **chosen)
+                .try_for_each(|((lane, state), (_, seed))| lane.begin(&self.task, *seed, state));
+        }
+        pool.install(|| {
+            lanes
+                .par_iter_mut()
+                .zip(states.par_chunks_exact_mut(width))
+                .zip(mask.par_iter().zip(seeds))
+                .with_min_len(MIN_EPISODES_PER_THREAD)
+                .filter(|(_, (chosen, _))| **chosen)
+                .try_for_each(|((lane, state), (_, seed))| lane.begin(&self.task, *seed, state))
+        })
+    }
+
+    /// Makes one decision in every sub-environment.
+    fn step_all(
+        &self,
+        pool: &ThreadPool,
+        actions: &[f32],
+        arrays: StepArrays<'_>,
+    ) -> Result<(), String> {
+        let width = self.state_width();
+        let mut lanes = self.lock();
+        check_lengths(&[actions.len()], lanes.len())?;
+        check_lengths(&arrays.lengths(width), lanes.len())?;
+        // Check all actions first: an error halfway would leave some sub-environments a step ahead.
+        for (index, (lane, action)) in lanes.iter().zip(actions).enumerate() {
+            if let Some(problem) = lane.step_error(&self.task, *action) {
+                return Err(format!("environment {index}: {problem}"));
+            }
+        }
+        // Passing all work to a single other thread would take a tenth of the step's time.
+        if pool.current_num_threads() == 1 {
+            let states = arrays
+                .states
+                .chunks_exact_mut(width)
+                .zip(arrays.last_states.chunks_exact_mut(width));
+            let ends = arrays
+                .terminated
+                .iter_mut()
+                .zip(arrays.truncated)
+                .zip(arrays.endings);
+            let results = states.zip(arrays.rewards.iter_mut().zip(ends));
+            return lanes
+                .iter_mut()
+                .zip(actions)
+                .zip(results)
+                .try_for_each(|((lane, action), results)| lane.step(&self.task, *action, results));
+        }
+        let states = arrays
+            .states
+            .par_chunks_exact_mut(width)
+            .zip(arrays.last_states.par_chunks_exact_mut(width));
+        let ends = arrays
+            .terminated
+            .par_iter_mut()
+            .zip(arrays.truncated)
+            .zip(arrays.endings);
+        let rows = lanes
+            .par_iter_mut()
+            .zip(actions)
+            .zip(states.zip(arrays.rewards.par_iter_mut().zip(ends)));
+        pool.install(|| {
+            rows.with_min_len(MIN_EPISODES_PER_THREAD)
+                .try_for_each(|((lane, action), results)| lane.step(&self.task, *action, results))
+        })
+    }
+}
+
+fn training_error(py: Python<'_>, error: &impl std::fmt::Display) -> PyErr {
+    errors::exception(py, ExceptionClass::Training, error)
 }
 
 fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
@@ -405,24 +458,20 @@ fn check_lengths(lengths: &[usize], lanes: usize) -> Result<(), String> {
 /// Returns the text of a preset of `crumple train`.
 #[pyfunction]
 pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static str> {
-    TrainingConfig::preset_text(name)
-        .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
+    TrainingConfig::preset_text(name).map_err(|error| training_error(py, &error))
 }
 
 /// Loads a preset of `crumple train` by name, from a file, or from a text of at least two lines.
 fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
-    let wrong = |error: &dyn std::fmt::Display| {
-        errors::exception(py, ExceptionClass::Training, &error.to_string())
-    };
     if preset.contains('\n') {
         return TrainingConfig::parse(preset, std::path::Path::new("<toml>"))
-            .map_err(|error| wrong(&error));
+            .map_err(|error| training_error(py, &error));
     }
     let path = std::path::Path::new(preset);
     if path.extension().is_none() {
-        return TrainingConfig::preset(preset).map_err(|error| wrong(&error));
+        return TrainingConfig::preset(preset).map_err(|error| training_error(py, &error));
     }
     let text = text_file::read(path)
         .map_err(|error| errors::file_exception(py, ExceptionClass::Training, &error))?;
-    TrainingConfig::parse(&text, path).map_err(|error| wrong(&error))
+    TrainingConfig::parse(&text, path).map_err(|error| training_error(py, &error))
 }

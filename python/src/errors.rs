@@ -37,7 +37,7 @@ pub(crate) fn exception(
 
 /// Creates an exception for a file that cannot be used.
 pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &FileError) -> PyErr {
-    let place = match error {
+    let location = match error {
         FileError::Read { path, .. } => (Some(path.as_path()), None, None),
         FileError::Syntax {
             path,
@@ -52,7 +52,7 @@ pub(crate) fn file_exception(py: Python<'_>, class: ExceptionClass, error: &File
         }
         _ => (None, None, None),
     };
-    exception_at(py, class, error, place)
+    exception_at(py, class, error, location)
 }
 
 /// Creates an exception for a scenario or space file that cannot be used.
@@ -61,7 +61,7 @@ pub(crate) fn scenario_file_exception(
     class: ExceptionClass,
     error: &ScenarioFileError,
 ) -> PyErr {
-    let place = match error {
+    let location = match error {
         ScenarioFileError::File(error) => return file_exception(py, class, error),
         ScenarioFileError::Extension { path } => (Some(path.as_path()), None, None),
         ScenarioFileError::Invalid {
@@ -73,9 +73,9 @@ pub(crate) fn scenario_file_exception(
     };
     if error.is_start_refused() {
         let words = format!("{error} (in Python: crumple.allow_external())");
-        return exception_at(py, class, &words, place);
+        return exception_at(py, class, &words, location);
     }
-    exception_at(py, class, error, place)
+    exception_at(py, class, error, location)
 }
 
 /// Creates an exception for a space that cannot be found.
@@ -102,14 +102,11 @@ pub(crate) fn exception_at(
     error: &impl std::fmt::Display,
     (file, line, field): ErrorLocation<'_>,
 ) -> PyErr {
-    let shorten = |text: &str| shorten_message(text).into_owned();
-    let (file, field) = (
-        file.map(|file| file.display().to_string()),
-        field.map(shorten),
-    );
-    let made = py
-        .import("crumple.errors")
+    let message = shorten_message(&error.to_string()).into_owned();
+    let file = file.map(|file| file.display().to_string());
+    let field = field.map(|field| shorten_message(field).into_owned());
+    py.import("crumple.errors")
         .and_then(|module| module.getattr(format!("{class:?}Error")))
-        .and_then(|class| class.call1((shorten(&error.to_string()), file, line, field)));
-    made.map_or_else(|error| error, PyErr::from_value)
+        .and_then(|class| class.call1((message, file, line, field)))
+        .map_or_else(|error| error, PyErr::from_value)
 }

@@ -27,7 +27,7 @@ impl PyFigure {
         impacts: &[Impact],
         layout: &str,
     ) -> PyResult<Self> {
-        let known = [
+        let layouts = [
             ("wide", PanelArrangement::Wide),
             ("stacked", PanelArrangement::Stacked),
             ("column", PanelArrangement::Column),
@@ -41,7 +41,7 @@ impl PyFigure {
             impacts,
         };
         Ok(Self {
-            svg: draw::draw_motion(&figure, parse_choice("layout", layout, &known)?).document(),
+            svg: draw::draw_motion(&figure, parse_choice("layout", layout, &layouts)?).document(),
         })
     }
 }

@@ -36,18 +36,27 @@ impl StopFlag {
 pub(crate) type ProgressCounts = (u64, u64, u64);
 
 /// Work in progress, and the condition that signals its end.
-static ACTIVE_WORK: (Mutex<Vec<StopFlag>>, Condvar) = (Mutex::new(Vec::new()), Condvar::new());
+struct WorkList {
+    flags: Mutex<Vec<StopFlag>>,
+    ended: Condvar,
+}
+
+static ACTIVE_WORK: WorkList = WorkList {
+    flags: Mutex::new(Vec::new()),
+    ended: Condvar::new(),
+};
 
 /// Guard that removes work from [`ACTIVE_WORK`] when it is dropped.
 struct ActiveWork(StopFlag);
 
 impl Drop for ActiveWork {
     fn drop(&mut self) {
-        let (all, ended) = &ACTIVE_WORK;
-        all.lock()
+        ACTIVE_WORK
+            .flags
+            .lock()
             .unwrap_or_else(PoisonError::into_inner)
             .retain(|stop| !Arc::ptr_eq(&stop.0, &self.0.0));
-        ended.notify_all();
+        ACTIVE_WORK.ended.notify_all();
     }
 }
 
@@ -55,11 +64,17 @@ impl Drop for ActiveWork {
 #[pyfunction]
 pub(crate) fn stop_all_work(py: Python<'_>) {
     py.detach(|| {
-        let (all, ended) = &ACTIVE_WORK;
-        let all = all.lock().unwrap_or_else(PoisonError::into_inner);
-        all.iter().for_each(StopFlag::set);
+        let flags = ACTIVE_WORK
+            .flags
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        flags.iter().for_each(StopFlag::set);
         // A callable may be slow, but must not block the exit forever.
-        drop(ended.wait_timeout_while(all, EXIT_TIMEOUT, |all| !all.is_empty()));
+        drop(
+            ACTIVE_WORK
+                .ended
+                .wait_timeout_while(flags, EXIT_TIMEOUT, |flags| !flags.is_empty()),
+        );
     });
 }
 
@@ -79,19 +94,19 @@ pub(crate) fn run_interruptible<T: Send>(
     }
     let pool = threads::pool()?;
     ACTIVE_WORK
-        .0
+        .flags
         .lock()
         .unwrap_or_else(PoisonError::into_inner)
         .push(stop.clone());
     let _under_way = ActiveWork(stop.clone());
-    let (text, heard) = mpsc::channel::<ProgressCounts>();
+    let (sender, receiver) = mpsc::channel::<ProgressCounts>();
     py.detach(move || {
         thread::scope(|scope| {
             let worker = scope.spawn(move || {
                 pool.install(move || {
                     work(&|state| {
                         // After an exception the channel has no receiver.
-                        let _ = text.send(state);
+                        let _ = sender.send(state);
                         if stop.is_set() {
                             ControlFlow::Break(())
                         } else {
@@ -100,28 +115,37 @@ pub(crate) fn run_interruptible<T: Send>(
                     })
                 })
             });
-            let mut raised = None;
-            loop {
-                // The channel closes when the work is done.
-                let looked = match heard.recv_timeout(SIGNAL_CHECK_INTERVAL) {
-                    Ok(counts) => Python::attach(|py| {
-                        progress.map_or(Ok(()), |progress| progress.call1(py, counts).map(drop))?;
-                        py.check_signals()
-                    }),
-                    Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
-                    Err(RecvTimeoutError::Disconnected) => break,
-                };
-                if let Err(error) = looked
-                    && raised.is_none()
-                {
-                    stop.set();
-                    raised = Some(error);
-                }
-            }
-            let done = worker
+            let raised = report_progress(&receiver, stop, progress);
+            let result = worker
                 .join()
                 .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            raised.map_or(Ok(done), Err)
+            raised.map_or(Ok(result), Err)
         })
     })
+}
+
+/// Reports progress to Python until the channel closes. Returns the first exception, at which it sets `stop`.
+fn report_progress(
+    receiver: &mpsc::Receiver<ProgressCounts>,
+    stop: &StopFlag,
+    progress: Option<&Py<PyAny>>,
+) -> Option<PyErr> {
+    let mut raised = None;
+    loop {
+        // The channel closes when the work is done.
+        let checked = match receiver.recv_timeout(SIGNAL_CHECK_INTERVAL) {
+            Ok(counts) => Python::attach(|py| {
+                progress.map_or(Ok(()), |progress| progress.call1(py, counts).map(drop))?;
+                py.check_signals()
+            }),
+            Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
+            Err(RecvTimeoutError::Disconnected) => return raised,
+        };
+        if let Err(error) = checked
+            && raised.is_none()
+        {
+            stop.set();
+            raised = Some(error);
+        }
+    }
 }

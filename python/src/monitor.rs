@@ -25,6 +25,27 @@ struct SignalRows<'a> {
 }
 
 impl SignalRows<'_> {
+    /// Returns the robustness of traces, in parallel, until `stop` is set.
+    fn robustness_of_traces(
+        &self,
+        formula: &Formula,
+        traces: usize,
+        over_time: bool,
+        stop: &StopFlag,
+    ) -> Result<Vec<Vec<f64>>, RobustnessError> {
+        let mut robustness = Vec::with_capacity(traces);
+        for first in (0..traces).step_by(TRACES_PER_BATCH) {
+            if stop.is_set() {
+                break;
+            }
+            let batch = (first..traces.min(first + TRACES_PER_BATCH))
+                .into_par_iter()
+                .map(|trace| self.robustness(formula, trace, over_time));
+            robustness.append(&mut batch.collect::<Result<Vec<_>, _>>()?);
+        }
+        Ok(robustness)
+    }
+
     /// Returns the robustness of one trace at its start, or at every sample.
     fn robustness(
         &self,
@@ -56,10 +77,9 @@ pub(crate) fn monitor<'py>(
     traces: usize,
     over_time: bool,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let wrong = |error: &dyn std::fmt::Display| {
-        errors::exception(py, ExceptionClass::Formula, &error.to_string())
-    };
-    let formula: Formula = formula.parse().map_err(|error| wrong(&error))?;
+    let formula: Formula = formula
+        .parse()
+        .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))?;
     let samples = signals
         .first()
         .map_or(0, |values| values.as_array().ncols());
@@ -67,10 +87,10 @@ pub(crate) fn monitor<'py>(
     for (name, values) in names.iter().zip(&signals) {
         let [rows, columns] = [values.as_array().nrows(), values.as_array().ncols()];
         if columns != samples || !(rows == 1 || rows == traces) {
-            let found = format!("signal `{name}` has {rows} rows of {columns} samples");
-            return Err(wrong(&format!(
-                "{found}: there are {traces} traces of {samples}"
-            )));
+            let problem = format!(
+                "signal `{name}` has {rows} rows of {columns} samples: there are {traces} traces of {samples}"
+            );
+            return Err(errors::exception(py, ExceptionClass::Formula, &problem));
         }
         named.push((name.as_str(), values.as_slice()?, rows == 1));
     }
@@ -79,28 +99,21 @@ pub(crate) fn monitor<'py>(
         samples,
         signals: named,
     };
-    let of = |trace: usize| rows.robustness(&formula, trace, over_time);
-    let found: Result<Vec<Vec<f64>>, RobustnessError> =
-        if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
-            // Another thread would take longer.
-            py.detach(|| (0..traces).map(of).collect())
-        } else {
-            let stop = StopFlag::default();
-            run_interruptible(py, &stop, None, |_| {
-                let mut found = Vec::with_capacity(traces);
-                for first in (0..traces).step_by(TRACES_PER_BATCH) {
-                    if stop.is_set() {
-                        break;
-                    }
-                    let some = (first..traces.min(first + TRACES_PER_BATCH))
-                        .into_par_iter()
-                        .map(of);
-                    found.append(&mut some.collect::<Result<Vec<_>, _>>()?);
-                }
-                Ok(found)
-            })?
-        };
-    let found = found.map_err(|error| wrong(&error))?;
+    let robustness = if samples.saturating_mul(traces) <= MAX_INLINE_SAMPLES {
+        // Another thread would take longer.
+        py.detach(|| {
+            (0..traces)
+                .map(|trace| rows.robustness(&formula, trace, over_time))
+                .collect()
+        })
+    } else {
+        let stop = StopFlag::default();
+        run_interruptible(py, &stop, None, |_| {
+            rows.robustness_of_traces(&formula, traces, over_time, &stop)
+        })?
+    };
+    let robustness: Vec<Vec<f64>> =
+        robustness.map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))?;
     let width = if over_time { samples } else { 1 };
-    PyArray1::from_vec(py, found.concat()).reshape([traces, width])
+    PyArray1::from_vec(py, robustness.concat()).reshape([traces, width])
 }

@@ -95,8 +95,9 @@ fn rate_per_exposure(
     let tally = &counted.tally;
     run_interruptible(py, stop, progress, |say| {
         // The count is complete; a call may still stop the work.
-        let observer = |_: &RunProgress| say((tally.runs, tally.runs, tally.failures));
-        plan.rate_per_exposure(tally, &observer)
+        plan.rate_per_exposure(tally, &|_: &RunProgress| {
+            say((tally.runs, tally.runs, tally.failures))
+        })
     })?
     .map_err(|error| rate_error(py, &error))
 }

@@ -24,13 +24,13 @@ impl PyScenario {
             return Ok(Self(scenario));
         }
         if Path::new(name).extension().is_none() && !Path::new(name).exists() {
-            let known: Vec<_> = built_in_scenario_names()
+            let names: Vec<_> = built_in_scenario_names()
                 .iter()
                 .map(|(name, _)| *name)
                 .collect();
             let message = format!(
                 "`{name}` is neither a built-in scenario ({}) nor a file",
-                known.join(", ")
+                names.join(", ")
             );
             return Err(errors::exception(py, ExceptionClass::Scenario, &message));
         }

@@ -35,11 +35,11 @@ pub(crate) fn resolve_method(
     method: &Bound<'_, PyAny>,
     raised: &RaisedException,
 ) -> PyResult<Method> {
-    let wrong = |error: &dyn fmt::Display| {
-        errors::exception(method.py(), ExceptionClass::Campaign, &error.to_string())
-    };
+    let py = method.py();
     if let Ok(name) = method.extract::<String>() {
-        return name.parse().map_err(|error| wrong(&error));
+        return name
+            .parse()
+            .map_err(|error| errors::exception(py, ExceptionClass::Campaign, &error));
     }
     let name: String = method.getattr("name")?.extract()?;
     let start = method.getattr("start")?.unbind();
@@ -55,7 +55,9 @@ pub(crate) fn resolve_method(
             })
         },
     );
-    Ok(Method::Custom(custom.map_err(|error| wrong(&error))?))
+    custom
+        .map(Method::Custom)
+        .map_err(|error| errors::exception(py, ExceptionClass::Campaign, &error))
 }
 
 struct PythonSearch {

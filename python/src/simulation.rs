@@ -1,5 +1,6 @@
 //! Simulations: outcomes, and traces as arrays.
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use crumple_measure::Specification;
@@ -15,7 +16,7 @@ use pyo3::types::PyCapsule;
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
 use crate::figure::PyFigure;
-use crate::interruptible::{StopFlag, run_interruptible};
+use crate::interruptible::{ProgressCounts, StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::table;
 use crate::values::{parse_choice, serialize_to_python};
@@ -26,6 +27,11 @@ const BATCH_SIZE: usize = 512;
 pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] = [
     ("kalman", EstimatorKind::Kalman),
     ("truth", EstimatorKind::Truth),
+];
+
+const AFTER_CONTACT: [(&str, AfterContact); 2] = [
+    ("stop", AfterContact::Stop),
+    ("continue", AfterContact::Continue),
 ];
 
 /// Motion of one vehicle: arrays with one entry per sample.
@@ -49,50 +55,56 @@ pub(crate) struct PyTrace {
 impl PyTrace {
     /// Moves the samples without a copy.
     fn new(py: Python<'_>, trace: engine::Trace) -> PyResult<Self> {
-        let array = |samples: Vec<f64>| PyArray1::from_vec(py, samples).unbind();
-        let track = |track: engine::Track| {
-            let track = PyTrack {
-                length_m: track.length_m,
-                mass_kg: track.mass_kg,
-                position_m: array(track.position_m),
-                speed_mps: array(track.speed_mps),
-                acceleration_mps2: array(track.acceleration_mps2),
-                in_lane_s: track.in_lane_s,
-            };
-            Py::new(py, track)
-        };
         Ok(Self {
-            time_s: array(trace.time_s),
+            time_s: PyArray1::from_vec(py, trace.time_s).unbind(),
             vehicles: trace
                 .vehicles
                 .into_iter()
-                .map(track)
+                .map(|track| Py::new(py, PyTrack::new(py, track)))
                 .collect::<PyResult<_>>()?,
         })
     }
 
     /// Copies the present samples; the caller may have changed the arrays.
     fn to_native(&self, py: Python<'_>) -> PyResult<engine::Trace> {
-        let samples = |array: &Py<PyArray1<f64>>| {
-            Ok::<_, PyErr>(array.bind(py).try_readonly()?.as_array().to_vec())
-        };
-        let track = |track: &Py<PyTrack>| {
-            let track = track.get();
-            Ok(engine::Track {
-                length_m: track.length_m,
-                mass_kg: track.mass_kg,
-                position_m: samples(&track.position_m)?,
-                speed_mps: samples(&track.speed_mps)?,
-                acceleration_mps2: samples(&track.acceleration_mps2)?,
-                in_lane_s: track.in_lane_s,
-            })
-        };
-        let vehicles = self.vehicles.iter().map(track).collect::<PyResult<_>>()?;
+        let vehicles = self
+            .vehicles
+            .iter()
+            .map(|track| track.get().to_native(py))
+            .collect::<PyResult<_>>()?;
         Ok(engine::Trace {
-            time_s: samples(&self.time_s)?,
+            time_s: copy_samples(py, &self.time_s)?,
             vehicles,
         })
     }
+}
+
+impl PyTrack {
+    fn new(py: Python<'_>, track: engine::Track) -> Self {
+        Self {
+            length_m: track.length_m,
+            mass_kg: track.mass_kg,
+            position_m: PyArray1::from_vec(py, track.position_m).unbind(),
+            speed_mps: PyArray1::from_vec(py, track.speed_mps).unbind(),
+            acceleration_mps2: PyArray1::from_vec(py, track.acceleration_mps2).unbind(),
+            in_lane_s: track.in_lane_s,
+        }
+    }
+
+    fn to_native(&self, py: Python<'_>) -> PyResult<engine::Track> {
+        Ok(engine::Track {
+            length_m: self.length_m,
+            mass_kg: self.mass_kg,
+            position_m: copy_samples(py, &self.position_m)?,
+            speed_mps: copy_samples(py, &self.speed_mps)?,
+            acceleration_mps2: copy_samples(py, &self.acceleration_mps2)?,
+            in_lane_s: self.in_lane_s,
+        })
+    }
+}
+
+fn copy_samples(py: Python<'_>, array: &Py<PyArray1<f64>>) -> PyResult<Vec<f64>> {
+    Ok(array.bind(py).try_readonly()?.as_array().to_vec())
 }
 
 #[pymethods]
@@ -186,11 +198,8 @@ impl Simulation {
 
     /// Returns the robustness of a specification, as `crumple simulate --spec` does.
     fn robustness(&self, py: Python<'_>, spec: &str) -> PyResult<f64> {
-        let wrong = |error: &dyn std::fmt::Display| {
-            errors::exception(py, ExceptionClass::Formula, &error.to_string())
-        };
-        let specification =
-            Specification::parse(spec, &self.scenario).map_err(|error| wrong(&error))?;
+        let specification = Specification::parse(spec, &self.scenario)
+            .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))?;
         let judged_until_contact = self.options.after_contact != specification.after_contact();
         if judged_until_contact && self.result.outcome.contact().is_some() {
             let how = if specification.recording_level() == RecordingLevel::Trace {
@@ -198,11 +207,11 @@ impl Simulation {
             } else {
                 "stop"
             };
-            return Err(wrong(&format!(
-                "`{spec}` is evaluated on a run with after_contact=\"{how}\""
-            )));
+            let problem = format!("`{spec}` is evaluated on a run with after_contact=\"{how}\"");
+            return Err(errors::exception(py, ExceptionClass::Formula, &problem));
         }
-        let run = Run::new(&self.scenario, self.options.clone()).map_err(|error| wrong(&error))?;
+        let run = Run::new(&self.scenario, self.options.clone())
+            .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))?;
         let mut simulated = self.result.clone();
         if specification.recording_level() == RecordingLevel::Trace {
             simulated.trace = Some(self.native_trace(py)?);
@@ -210,7 +219,7 @@ impl Simulation {
         specification
             .evaluate(&run, &simulated)
             .map(|verdict| verdict.robustness)
-            .map_err(|error| wrong(&error))
+            .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))
     }
 
     /// Draws position, speed and gap over time.
@@ -264,64 +273,80 @@ pub(crate) fn simulate(
 ) -> PyResult<Vec<Simulation>> {
     let stop = StopFlag::default();
     let controller = controller::resolve_controller(controller, &stop)?;
-    let known = [
-        ("stop", AfterContact::Stop),
-        ("continue", AfterContact::Continue),
-    ];
     let mut options = RunOptions::new(controller.source.clone())
         .with_estimator(parse_choice("estimator", estimator, &ESTIMATORS)?)
-        .with_after_contact(parse_choice("after_contact", after_contact, &known)?);
+        .with_after_contact(parse_choice(
+            "after_contact",
+            after_contact,
+            &AFTER_CONTACT,
+        )?);
     options.dt_s = dt_s;
     let scenarios: Vec<_> = scenarios
         .iter()
         .map(|scenario| scenario.0.clone())
         .collect();
-    let run = |scenario: &Scenario| {
-        let wrong = |error| {
-            errors::exception(
-                py,
-                ExceptionClass::Run,
-                &format!("{}: {error}", scenario.spec().name),
-            )
-        };
-        Run::new(scenario, options.clone()).map_err(wrong)
-    };
-    let runs = scenarios.iter().map(run).collect::<PyResult<Vec<_>>>()?;
-    let keep = if trace {
+    let runs = create_runs(py, &scenarios, &options)?;
+    let level = if trace {
         RecordingLevel::Trace
     } else {
         RecordingLevel::Summary
     };
     let results = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        let (mut results, mut failures) = (Vec::with_capacity(runs.len()), 0);
-        for some in runs.chunks(BATCH_SIZE) {
-            let of_some = simulate_batch(some, keep, |_, simulated| simulated);
-            failures += of_some
-                .iter()
-                .filter(|simulated| !simulated.outcome.is_safe())
-                .count();
-            results.extend(of_some);
-            if say((results.len() as u64, runs.len() as u64, failures as u64)).is_break() {
-                break;
-            }
-        }
-        results
+        simulate_in_batches(&runs, level, say)
     })?;
     drop(runs);
     let name: Arc<str> = controller.name.into();
-    let simulation = |(scenario, mut simulated): (_, SimulationResult)| {
-        let trace = simulated
-            .trace
-            .take()
-            .map(|trace| Py::new(py, PyTrace::new(py, trace)?))
-            .transpose()?;
-        Ok(Simulation {
-            scenario,
-            controller: Arc::clone(&name),
-            options: options.clone(),
-            result: simulated,
-            trace,
+    scenarios
+        .into_iter()
+        .zip(results)
+        .map(|(scenario, mut result)| {
+            let trace = result
+                .trace
+                .take()
+                .map(|trace| Py::new(py, PyTrace::new(py, trace)?))
+                .transpose()?;
+            Ok(Simulation {
+                scenario,
+                controller: Arc::clone(&name),
+                options: options.clone(),
+                result,
+                trace,
+            })
         })
-    };
-    scenarios.into_iter().zip(results).map(simulation).collect()
+        .collect()
+}
+
+fn create_runs(py: Python<'_>, scenarios: &[Scenario], options: &RunOptions) -> PyResult<Vec<Run>> {
+    scenarios
+        .iter()
+        .map(|scenario| {
+            Run::new(scenario, options.clone()).map_err(|error| {
+                let problem = format!("{}: {error}", scenario.spec().name);
+                errors::exception(py, ExceptionClass::Run, &problem)
+            })
+        })
+        .collect()
+}
+
+/// Simulates runs until `report_progress` ends the work.
+fn simulate_in_batches(
+    runs: &[Run],
+    level: RecordingLevel,
+    report_progress: &(dyn Fn(ProgressCounts) -> ControlFlow<()> + Sync),
+) -> Vec<SimulationResult> {
+    let mut results = Vec::with_capacity(runs.len());
+    let mut failures = 0;
+    for batch in runs.chunks(BATCH_SIZE) {
+        let simulated = simulate_batch(batch, level, |_, result| result);
+        failures += simulated
+            .iter()
+            .filter(|result| !result.outcome.is_safe())
+            .count();
+        results.extend(simulated);
+        let counts = (results.len() as u64, runs.len() as u64, failures as u64);
+        if report_progress(counts).is_break() {
+            break;
+        }
+    }
+    results
 }

@@ -108,7 +108,7 @@ impl PyProperty {
             .parse::<f64>()
             .ok()
             .filter(|by| by.is_finite() && *by > 0.0);
-        let found = match (name, by) {
+        let relation = match (name, by) {
             ("larger-gap", Some(by_m)) => MetamorphicRelation::LargerGap { by_m },
             ("more-friction", Some(by)) => MetamorphicRelation::MoreFriction { by },
             ("earlier-reaction", Some(by_s)) => MetamorphicRelation::EarlierReaction { by_s },
@@ -120,7 +120,7 @@ impl PyProperty {
                 return Err(errors::exception(py, ExceptionClass::Campaign, &problem));
             }
         };
-        Ok(Self(Property::metamorphic(found)))
+        Ok(Self(Property::metamorphic(relation)))
     }
 
     #[staticmethod]

@@ -5,7 +5,7 @@ use std::{process, thread};
 
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use rayon::{ThreadBuilder, ThreadPool, ThreadPoolBuilder};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Returns the simulation threads of this process, and starts them at the first call: `RAYON_NUM_THREADS` of them.
 /// Release the interpreter's lock before passing work to them.
@@ -17,17 +17,17 @@ use rayon::{ThreadBuilder, ThreadPool, ThreadPoolBuilder};
 /// `RuntimeError` if the system cannot start threads.
 pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
-    let run = |thread: ThreadBuilder| Python::attach(|py| py.detach(|| thread.run()));
     let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some((process, threads)) = &*pool
         && *process == process::id()
     {
         return Ok(Arc::clone(threads));
     }
-    let builder = ThreadPoolBuilder::new();
-    let builder =
-        builder.spawn_handler(|thread| thread::Builder::new().spawn(move || run(thread)).map(drop));
-    let started = builder
+    let started = ThreadPoolBuilder::new()
+        .spawn_handler(|thread| {
+            let run = move || Python::attach(|py| py.detach(|| thread.run()));
+            thread::Builder::new().spawn(run).map(drop)
+        })
         .build()
         .map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))?;
     let started = Arc::new(started);

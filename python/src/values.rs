@@ -43,13 +43,16 @@ pub(crate) fn serialize_to_python<'py>(
 }
 
 /// Parses a value that is one of a few words.
-pub(crate) fn parse_choice<T: Copy>(what: &str, word: &str, known: &[(&str, T)]) -> PyResult<T> {
-    known
+pub(crate) fn parse_choice<T: Copy>(what: &str, word: &str, choices: &[(&str, T)]) -> PyResult<T> {
+    choices
         .iter()
         .find(|(name, _)| *name == word)
         .map(|(_, value)| *value)
         .ok_or_else(|| {
-            let names: Vec<_> = known.iter().map(|(name, _)| format!("'{name}'")).collect();
+            let names: Vec<_> = choices
+                .iter()
+                .map(|(name, _)| format!("'{name}'"))
+                .collect();
             PyValueError::new_err(format!(
                 "{what} must be {}, found {word:?}",
                 names.join(" or ")

@@ -52,14 +52,13 @@ pub(crate) fn worst_case<'py>(
     };
     let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
     let result = run_interruptible(py, &stop, progress.as_ref(), |say| {
-        let observer = |simulations: &RunProgress| say((simulations.done, u64::from(budget), 0));
         attack(
             &scenario,
             &options,
             aim,
             envelope,
             budget as usize,
-            &observer,
+            &|simulations: &RunProgress| say((simulations.done, u64::from(budget), 0)),
         )
     })?;
     let name = &scenario.spec().name;

@@ -28,14 +28,14 @@ pub(super) fn load_scenario(path: &Path, controllers: Controllers) -> Result<Sce
         return Ok(scenario);
     }
     if path.extension().is_none() && !path.exists() {
-        let known: Vec<_> = built_in_scenario_names()
+        let names: Vec<_> = built_in_scenario_names()
             .iter()
             .map(|(name, _)| *name)
             .collect();
         return Err(CliError::Input(format!(
             "`{}` is neither a built-in scenario ({}) nor a file",
             path.display(),
-            known.join(", ")
+            names.join(", ")
         )));
     }
     let scenario = file::load(path, &controllers)?;
@@ -49,13 +49,12 @@ pub(super) fn load_scenario(path: &Path, controllers: Controllers) -> Result<Sce
                 name: driver.path().to_owned(),
                 source: controller.clone(),
             };
-            let message = |error| {
+            named.try_start().map_err(|error| {
                 CliError::Input(format!(
                     "{}: vehicles[{index}].driver: {error}",
                     path.display()
                 ))
-            };
-            named.try_start().map_err(message)?;
+            })?;
             remember(named);
         }
     }
@@ -67,10 +66,15 @@ pub(super) fn whole_number<T: TryFrom<u64>>(
     range: RangeInclusive<u64>,
 ) -> impl Fn(&str) -> Result<T, String> + Clone {
     move |words| {
-        let (low, high) = (range.start(), range.end());
         let number = words.parse().ok().filter(|number| range.contains(number));
         let converted = number.and_then(|number| T::try_from(number).ok());
-        converted.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
+        converted.ok_or_else(|| {
+            format!(
+                "must be a whole number from {} to {}",
+                range.start(),
+                range.end()
+            )
+        })
     }
 }
 
@@ -133,9 +137,9 @@ pub(super) fn parse_weighted_name(words: &str) -> Result<(String, f64), String> 
 
 /// Finds a built-in controller or loads one from a file, for clap. Starts no program: [`try_controllers`] does.
 pub(super) fn parse_controller(name: &str) -> Result<NamedController, ArgumentError> {
-    let found = find_for_user(name, Path::new(""))?;
-    remember(found.clone());
-    Ok(found)
+    let controller = find_for_user(name, Path::new(""))?;
+    remember(controller.clone());
+    Ok(controller)
 }
 
 fn remember(controller: NamedController) {
@@ -175,7 +179,11 @@ pub(super) fn release_controllers() {
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, ArgumentError> {
     let usable = "use `policy`, `retrained`, `road`, or a policy file that `crumple train` wrote";
     match parse_controller(name) {
-        Ok(found) if found.policy().is_some() && found.source.as_shield().is_none() => Ok(found),
+        Ok(controller)
+            if controller.policy().is_some() && controller.source.as_shield().is_none() =>
+        {
+            Ok(controller)
+        }
         Ok(_) => Err(format!("`{name}` cannot be retrained: {usable}").into()),
         Err(_) if !Path::new(name).exists() => {
             Err(format!("there is no policy `{name}`: {usable}").into())

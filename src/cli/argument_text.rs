@@ -11,21 +11,20 @@ use super::build_command;
 /// Names of most files may be any bytes. clap parses values in the order of the arguments, so the first one up to
 /// which it refuses them is the wrong one.
 pub(super) fn describe_first(arguments: &[OsString]) -> String {
-    let is_refused = |end: &usize| {
-        let parsed = build_command().try_get_matches_from(arguments.iter().take(*end));
-        parsed.is_err_and(|error| error.kind() == ErrorKind::InvalidUtf8)
-    };
     let ends = (1..=arguments.len()).filter(|end| {
         let last = end.checked_sub(1).and_then(|index| arguments.get(index));
         last.is_some_and(|argument| argument.to_str().is_none())
     });
-    let Some(end) = ends.into_iter().find(is_refused) else {
+    let Some(end) = ends.into_iter().find(|end| {
+        let parsed = build_command().try_get_matches_from(arguments.iter().take(*end));
+        parsed.is_err_and(|error| error.kind() == ErrorKind::InvalidUtf8)
+    }) else {
         return "an argument is not UTF-8".to_owned();
     };
     let [.., before, argument] = arguments.get(..end).unwrap_or_default() else {
         return "the name of the program is not UTF-8".to_owned();
     };
-    let (argument, before) = (argument.to_string_lossy(), before.to_string_lossy());
+    let [argument, before] = [argument, before].map(|word| word.to_string_lossy());
     let (option, value) = match argument.split_once('=') {
         Some((option, value)) if option.starts_with("--") => (option, value),
         _ if takes_value(&before, arguments) => (&*before, &*argument),

@@ -12,8 +12,8 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessConfig, AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND,
-    RunInfo, assess,
+    AssessConfig, AssessmentPlan, AssessmentReport, ClaimSummary, EarlierAssessment, EvidenceCache,
+    REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
@@ -105,52 +105,14 @@ pub(super) const LISTING_FILE: &str = "report.sha256";
 
 impl Assess {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
-        let GlobalOptions { quiet, controllers } = global;
-        let plan = match &self.config {
-            None => AssessmentPlan::built_in()?,
-            Some(path) => {
-                let plan = AssessmentPlan::load(path, controllers)?;
-                let notes = plan.controllers().iter().flat_map(args::controller_notes);
-                notes.for_each(|note| output::note(&note, quiet));
-                plan
-            }
-        };
-        let against = self
-            .against
-            .as_deref()
-            .map(EarlierAssessment::load)
-            .transpose()?;
-        if against.is_none() && plan.needs_earlier_assessment() {
-            return Err(CliError::Input(
-                "--against: the gate `nothing-worse` needs an earlier assessment".to_owned(),
-            ));
-        }
-        let source = self
-            .config
-            .as_deref()
-            .and_then(Path::parent)
-            .unwrap_or(Path::new(""));
+        let quiet = global.quiet;
+        let plan = self.load_plan(global)?;
+        let against = self.load_earlier(&plan)?;
         let evidence_folder = self.out.join(EVIDENCE_FOLDER);
-        let fresh = if self.fresh { " without --fresh" } else { "" };
-        let evidence = evidence_folder.display();
-        interrupt::set_exit_message(
-            format!(
-                "the evidence computed so far is in {evidence}: the same command{fresh} resumes the assessment"
-            ),
-            quiet,
-        );
-        let (identity, begun) = (program::identity()?, Instant::now());
-        check_no_symlinks(&self.out)?;
-        if let Some(kind) = run_folder::read_kind(&self.out).filter(|kind| kind != REPORT_KIND) {
-            return Err(CliError::Input(format!(
-                "--out: {} contains a {kind}, whose work.json the report would replace; use another folder",
-                self.out.display()
-            )));
-        }
-        // Reports of earlier builds have a manifest instead of a listing.
-        let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?
-            .with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
-        folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
+        self.announce_resumption(&evidence_folder, quiet);
+        let identity = program::identity()?;
+        let begun = Instant::now();
+        let folder = self.open_folder()?;
         let cache = EvidenceCache::open(&evidence_folder, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
             let name = &unknown.name;
@@ -165,11 +127,77 @@ impl Assess {
         let assessment = progress::show(&bar, |observer| {
             assess(&plan, &cache, against.as_ref(), observer)
         })?;
+        let source = self
+            .config
+            .as_deref()
+            .and_then(Path::parent)
+            .unwrap_or(Path::new(""));
         let assessment = assessment.with_run_info(run_info(source, identity, begun.elapsed()));
         folder.write(
             &assessment.files().map_err(CliError::input)?,
             EarlierFiles::Replace,
         )?;
+        self.note_files(&cache, quiet);
+        let printed = self.print(&assessment);
+        CliError::gate_first(check_gates(&assessment.summary), printed)
+    }
+
+    fn load_plan(&self, global: GlobalOptions) -> Result<AssessmentPlan, CliError> {
+        let Some(path) = &self.config else {
+            return Ok(AssessmentPlan::built_in()?);
+        };
+        let plan = AssessmentPlan::load(path, global.controllers)?;
+        for note in plan.controllers().iter().flat_map(args::controller_notes) {
+            output::note(&note, global.quiet);
+        }
+        Ok(plan)
+    }
+
+    /// Loads the assessment of `--against`.
+    fn load_earlier(&self, plan: &AssessmentPlan) -> Result<Option<EarlierAssessment>, CliError> {
+        let against = self
+            .against
+            .as_deref()
+            .map(EarlierAssessment::load)
+            .transpose()?;
+        if against.is_none() && plan.needs_earlier_assessment() {
+            return Err(CliError::Input(
+                "--against: the gate `nothing-worse` needs an earlier assessment".to_owned(),
+            ));
+        }
+        Ok(against)
+    }
+
+    /// Sets the message at an interruption.
+    fn announce_resumption(&self, evidence_folder: &Path, quiet: bool) {
+        let fresh = if self.fresh { " without --fresh" } else { "" };
+        let evidence = evidence_folder.display();
+        interrupt::set_exit_message(
+            format!(
+                "the evidence computed so far is in {evidence}: the same command{fresh} resumes the assessment"
+            ),
+            quiet,
+        );
+    }
+
+    /// Opens the report folder, and checks that the report may be written there.
+    fn open_folder(&self) -> Result<OutputFolder, CliError> {
+        check_no_symlinks(&self.out)?;
+        if let Some(kind) = run_folder::read_kind(&self.out).filter(|kind| kind != REPORT_KIND) {
+            return Err(CliError::Input(format!(
+                "--out: {} contains a {kind}, whose work.json the report would replace; use another folder",
+                self.out.display()
+            )));
+        }
+        // Reports of earlier builds have a manifest instead of a listing.
+        let folder = OutputFolder::with_listing(&self.out, LISTING_FILE)?
+            .with_known_files(run_folder::read_digests(&self.out, REPORT_KIND));
+        folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
+        Ok(folder)
+    }
+
+    /// Notes the written files, and what became of the evidence of earlier assessments.
+    fn note_files(&self, cache: &EvidenceCache, quiet: bool) {
         let (pieces, reused) = cache.reuse_counts();
         let reuse_note = if reused == 0 {
             String::new()
@@ -193,29 +221,30 @@ impl Assess {
             ),
             quiet,
         );
-        let mut message = assessment.first_page.to_plain_text();
-        if let Some(comparison) = &assessment.comparison {
-            message += &format!("{}\n", comparison.describe());
-        }
-        message += &assessment.summary.gates_to_plain_text();
-        let failed: Vec<_> = assessment
-            .summary
-            .gates
-            .iter()
-            .filter(|gate| !gate.holds)
-            .collect();
-        let printed = output::print_result(self.format, &assessment.summary, || message);
-        let gate = match failed.as_slice() {
-            [] => Ok(()),
-            gates => {
-                let lines: Vec<_> = gates
-                    .iter()
-                    .map(|gate| format!("{} ({})", gate.gate, gate.reason))
-                    .collect();
-                Err(CliError::Gate(lines.join("; ")))
+    }
+
+    fn print(&self, assessment: &AssessmentReport) -> Result<(), CliError> {
+        output::print_result(self.format, &assessment.summary, || {
+            let mut message = assessment.first_page.to_plain_text();
+            if let Some(comparison) = &assessment.comparison {
+                message += &format!("{}\n", comparison.describe());
             }
-        };
-        CliError::gate_first(gate, printed)
+            message + &assessment.summary.gates_to_plain_text()
+        })
+    }
+}
+
+fn check_gates(summary: &ClaimSummary) -> Result<(), CliError> {
+    let failed: Vec<String> = summary
+        .gates
+        .iter()
+        .filter(|gate| !gate.holds)
+        .map(|gate| format!("{} ({})", gate.gate, gate.reason))
+        .collect();
+    if failed.is_empty() {
+        Ok(())
+    } else {
+        Err(CliError::Gate(failed.join("; ")))
     }
 }
 
@@ -252,51 +281,48 @@ fn git_commit(folder: &Path) -> Option<String> {
     } else {
         folder
     };
-    let git = |arguments: &[&str]| {
-        let no_programs = [
-            "-c",
-            "core.fsmonitor=false",
-            "-c",
-            "core.hooksPath=/dev/null",
-        ];
-        let mut command = process::Command::new("git");
-        command
-            .arg("-C")
-            .arg(folder)
-            .args(no_programs.iter().chain(arguments));
-        // Keeps git from writing the index, which runs hooks, and from fetching, which starts a transport.
-        command
-            .env("GIT_OPTIONAL_LOCKS", "0")
-            .env("GIT_NO_LAZY_FETCH", "1")
-            .env("GIT_ALLOW_PROTOCOL", "none");
-        let result = command.output().ok()?;
-        result
-            .status
-            .success()
-            .then(|| String::from_utf8_lossy(&result.stdout).trim().to_owned())
-    };
-    let commit = git(&["rev-parse", "HEAD"])?;
+    let commit = git_output(folder, &["rev-parse", "HEAD"])?;
     // `git status` starts the filters that the configuration of a repository names.
-    let names_programs = |scope| {
-        git(&[
-            "config",
-            scope,
-            "--get-regexp",
-            r"^(filter|include|includeif)\.",
-        ])
-        .is_some()
-    };
-    if names_programs("--local") || names_programs("--worktree") {
+    let names_programs = ["--local", "--worktree"].into_iter().any(|scope| {
+        let pattern = r"^(filter|include|includeif)\.";
+        git_output(folder, &["config", scope, "--get-regexp", pattern]).is_some()
+    });
+    if names_programs {
         return Some(commit + ", not compared with the files: the repository configures filters");
     }
-    let is_clean = git(&[
+    let status = [
         "status",
         "--porcelain",
         "--untracked-files=no",
         "--ignore-submodules=all",
-    ])?
-    .is_empty();
+    ];
+    let is_clean = git_output(folder, &status)?.is_empty();
     Some(commit + if is_clean { "" } else { " with changes" })
+}
+
+/// Returns the output of git in a folder, without starting programs that its configuration names; `None` if it fails.
+fn git_output(folder: &Path, arguments: &[&str]) -> Option<String> {
+    let no_programs = [
+        "-c",
+        "core.fsmonitor=false",
+        "-c",
+        "core.hooksPath=/dev/null",
+    ];
+    let mut command = process::Command::new("git");
+    command
+        .arg("-C")
+        .arg(folder)
+        .args(no_programs.iter().chain(arguments));
+    // Keeps git from writing the index, which runs hooks, and from fetching, which starts a transport.
+    command
+        .env("GIT_OPTIONAL_LOCKS", "0")
+        .env("GIT_NO_LAZY_FETCH", "1")
+        .env("GIT_ALLOW_PROTOCOL", "none");
+    let result = command.output().ok()?;
+    result
+        .status
+        .success()
+        .then(|| String::from_utf8_lossy(&result.stdout).trim().to_owned())
 }
 
 fn run_info(folder: &Path, program_sha256: &str, took: Duration) -> RunInfo {
@@ -305,7 +331,8 @@ fn run_info(folder: &Path, program_sha256: &str, took: Duration) -> RunInfo {
         Some(format!(", {}", line.split_once(':')?.1.trim()))
     });
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let (system, processor) = (std::env::consts::OS, std::env::consts::ARCH);
+    let system = std::env::consts::OS;
+    let processor = std::env::consts::ARCH;
     RunInfo {
         at: utc::rfc_3339(SystemTime::now()),
         commit: git_commit(folder),

@@ -101,16 +101,12 @@ impl Avoid {
             stage_certificate(path, certificate, files)?;
         }
         if let Some(path) = &self.bound_certificate {
-            let none = || "no upper bound on the gap of an escape was proved".to_owned();
-            stage_certificate(
-                path,
-                avoidance
-                    .bound_certificate
-                    .as_deref()
-                    .cloned()
-                    .ok_or_else(none),
-                files,
-            )?;
+            let certificate = avoidance
+                .bound_certificate
+                .as_deref()
+                .cloned()
+                .ok_or_else(|| "no upper bound on the gap of an escape was proved".to_owned());
+            stage_certificate(path, certificate, files)?;
         }
         Ok(())
     }

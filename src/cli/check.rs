@@ -92,7 +92,8 @@ impl Check {
             );
         }
         // Check the other certificates even if one cannot be read.
-        let (mut certificates, mut others) = (Vec::new(), Vec::new());
+        let mut certificates = Vec::new();
+        let mut others = Vec::new();
         for path in &self.certificates {
             match load_certificate(path) {
                 Ok(certificate) => certificates.push((path, certificate)),
@@ -140,15 +141,11 @@ impl Check {
         global: GlobalOptions,
     ) -> Result<CertificateReport<'a>, CliError> {
         let policy = self.policy_bytes(certificate, path)?;
-        let (file, limit) = (
-            path.display().to_string(),
-            WorkLimit::from_billions(self.work_limit),
-        );
         let mut report = CertificateReport::check(
-            file,
+            path.display().to_string(),
             certificate,
             policy.as_deref(),
-            limit,
+            WorkLimit::from_billions(self.work_limit),
             global.controllers,
         )
         .map_err(|refused| CliError::at(path, refused))?;
@@ -173,9 +170,8 @@ impl Check {
         percent: f64,
         global: GlobalOptions,
     ) -> Result<CountsStatus, CliError> {
-        let cannot = |error: RerunError| CliError::at(path, error);
-        let rerun =
-            Rerun::new(certificate, &self.controller, global.controllers).map_err(cannot)?;
+        let rerun = Rerun::new(certificate, &self.controller, global.controllers)
+            .map_err(|error| CliError::at(path, error))?;
         let seed = match self.rerun_seed {
             Some(seed) => seed,
             // A random seed was unknown when the certificate was made.
@@ -198,7 +194,7 @@ impl Check {
             Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted {
                 because: refuted.to_string(),
             }),
-            Err(other) => Err(cannot(other)),
+            Err(error) => Err(CliError::at(path, error)),
         }
     }
 
@@ -215,28 +211,28 @@ impl Check {
                 .as_deref()
                 .filter(|path| is_network_source(path))
         {
-            let place = source.display();
+            let file = source.display();
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => {
                     CliError::Input(format!(
-                        "{place}: is a network that needs a controller file; give the controller file of the \
+                        "{file}: is a network that needs a controller file; give the controller file of the \
                          certificate with --policy"
                     ))
                 }
                 other => CliError::from_cause(other),
             })?;
-            let file = checker_file(&read)
-                .map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
-            return file
+            let bytes = checker_file(&read)
+                .map_err(|invalid| CliError::Input(format!("{file}: {invalid}")))?;
+            return bytes
                 .map(Some)
-                .ok_or_else(|| CliError::Input(format!("{place}: is not a network")));
+                .ok_or_else(|| CliError::Input(format!("{file}: is not a network")));
         }
-        let found = certificate.read_policy(path, self.policy.as_deref());
+        let policy = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
         let is_of_reference = certificate
             .policy_reference()
             .is_some_and(|(_, digest)| digest == Policy::reference().digest());
-        Ok(found.or_else(|| {
+        Ok(policy.or_else(|| {
             (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())
         }))
     }
@@ -251,25 +247,23 @@ fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> 
 }
 
 fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
-    let of = |is_wanted: &dyn Fn(&CertificateReport<'_>) -> bool| {
-        let paths: Vec<&str> = all
-            .iter()
-            .filter(|one| is_wanted(one))
-            .map(|one| one.path.as_str())
-            .collect();
-        paths.join(", ")
-    };
-    let rejected = of(&|one| one.is_rejected());
-    let elsewhere = of(&|one| one.is_refused() && !one.is_rejected());
-    let parts = [
+    let mut rejected = Vec::new();
+    let mut elsewhere = Vec::new();
+    for report in all {
+        if report.is_rejected() {
+            rejected.push(report.path.as_str());
+        } else if report.is_refused() {
+            elsewhere.push(report.path.as_str());
+        }
+    }
+    let parts: Vec<_> = [
         ("rejected", rejected),
         ("not about the scenario of --scenario", elsewhere),
-    ];
-    let parts: Vec<_> = parts
-        .iter()
-        .filter(|(_, paths)| !paths.is_empty())
-        .map(|(what, paths)| format!("{what}: {paths}"))
-        .collect();
+    ]
+    .iter()
+    .filter(|(_, paths)| !paths.is_empty())
+    .map(|(reason, paths)| format!("{reason}: {}", paths.join(", ")))
+    .collect();
     (!parts.is_empty()).then(|| parts.join("; "))
 }
 

@@ -39,17 +39,14 @@ pub(super) struct Describe {
 
 impl Describe {
     pub(super) fn run(self) -> Result<(), CliError> {
-        let place = &self.file;
-        if place
-            .extension()
-            .is_some_and(|extension| extension == "fmu")
-        {
-            return describe_fmu::describe(place, self.format);
+        let path = &self.file;
+        if path.extension().is_some_and(|extension| extension == "fmu") {
+            return describe_fmu::describe(path, self.format);
         }
-        let network = NetworkFile::load(place).map_err(|error| self.not_a_network_error(&error))?;
-        let statistics = FoundStatistics::find(&network, place);
-        let file = place.display().to_string();
-        let drives_as_it_is = is_controller(place);
+        let network = NetworkFile::load(path).map_err(|error| self.not_a_network_error(&error))?;
+        let statistics = FoundStatistics::find(&network, path);
+        let file = path.display().to_string();
+        let drives_as_it_is = is_controller(path);
         let draft = ControllerFileDraft {
             path: &file,
             network: &network,
@@ -84,6 +81,8 @@ impl Describe {
 
 /// Returns true if the file is a controller. A program counts, and is not started.
 fn is_controller(file: &Path) -> bool {
-    let found = Controllers::default().find(&file.to_string_lossy(), Path::new(""));
-    matches!(found, Ok(_) | Err(UnknownController::StartRefused(_)))
+    matches!(
+        Controllers::default().find(&file.to_string_lossy(), Path::new("")),
+        Ok(_) | Err(UnknownController::StartRefused(_))
+    )
 }

@@ -90,73 +90,85 @@ impl DoctorReport {
         if !fused_multiply_add {
             text += "  this processor has no fused multiply-add: networks are slower, with the same results\n";
         }
-        for feature in &self.features {
-            let Feature {
-                name,
-                used_for,
-                enabled,
-            } = feature;
-            let state = if *enabled {
-                "compiled in".to_owned()
-            } else {
-                format!("missing: {}", feature.install_command())
-            };
-            let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
-        }
+        self.features
+            .iter()
+            .for_each(|feature| write_feature(&mut text, feature));
         text += "  crumple needs nothing else; optional programs:\n";
-        for Dependency {
-            name,
-            found,
-            used_for,
-            install,
-        } in &self.needs
-        {
-            let there = found
-                .as_ref()
-                .map_or_else(|| format!("not found: {install}"), Clone::clone);
-            let _ = writeln!(text, "    {name:<16}{used_for}\n{:20}{there}", "");
-        }
+        self.needs
+            .iter()
+            .for_each(|dependency| write_dependency(&mut text, dependency));
         text
     }
 }
 
+fn write_feature(text: &mut String, feature: &Feature) {
+    let Feature {
+        name,
+        used_for,
+        enabled,
+    } = feature;
+    let state = if *enabled {
+        "compiled in".to_owned()
+    } else {
+        format!("missing: {}", feature.install_command())
+    };
+    let _ = writeln!(text, "  feature {name:<10}{used_for}\n{:20}{state}", "");
+}
+
+fn write_dependency(text: &mut String, dependency: &Dependency) {
+    let Dependency {
+        name,
+        found,
+        used_for,
+        install,
+    } = dependency;
+    let path = found
+        .as_ref()
+        .map_or_else(|| format!("not found: {install}"), Clone::clone);
+    let _ = writeln!(text, "    {name:<16}{used_for}\n{:20}{path}", "");
+}
+
 fn dependencies() -> Vec<Dependency> {
     let python = ["python3", "python"].into_iter().find_map(find_program);
-    let module = |name: &str| {
-        let python = python.as_ref()?;
-        let look = format!(
-            "import importlib.util as u; s = u.find_spec('{name}'); print(s.origin if s else '')"
-        );
-        program_output(Command::new(python).args(["-I", "-c", &look]))
-            .filter(|origin| !origin.is_empty())
-    };
-    let shown = |path: Option<PathBuf>| path.map(|path| path.display().to_string());
     vec![
         Dependency {
             name: "crumple-fmu",
-            found: shown(crumple_process::find_fmu_host()),
+            found: crumple_process::find_fmu_host().map(display_path),
             used_for: "FMUs as controllers",
             install: "`cargo install --locked --path .` in a clone installs it; CRUMPLE_FMU can contain its path",
         },
         Dependency {
             name: "python",
-            found: shown(python.clone()),
+            found: python.clone().map(display_path),
             used_for: "controllers in Python",
             install: "https://www.python.org",
         },
         Dependency {
             name: "crumple module",
-            found: module("crumple"),
+            found: python.and_then(|python| find_module(&python, "crumple")),
             used_for: "notebooks, Gymnasium, callables as controllers",
             install: "pip install ./python",
         },
         Dependency {
             name: "cargo-fuzz",
-            found: shown(find_program("cargo-fuzz")),
+            found: find_program("cargo-fuzz").map(display_path),
             used_for: "`cargo fuzz run scenario`, in a clone",
             install: "cargo install cargo-fuzz, and a nightly toolchain",
         },
     ]
+}
+
+fn display_path(path: PathBuf) -> String {
+    path.display().to_string()
+}
+
+/// Returns the file of a Python module, if Python finds it.
+fn find_module(python: &Path, name: &str) -> Option<String> {
+    let script = format!(
+        "import importlib.util as u; s = u.find_spec('{name}'); print(s.origin if s else '')"
+    );
+    program_output(Command::new(python).args(["-I", "-c", &script]))
+        .filter(|origin| !origin.is_empty())
 }
 
 fn find_program(name: &str) -> Option<PathBuf> {
@@ -172,7 +184,7 @@ fn find_program(name: &str) -> Option<PathBuf> {
 fn is_program(path: &Path) -> bool {
     use std::os::unix::fs::PermissionsExt;
     path.metadata()
-        .is_ok_and(|found| found.is_file() && found.permissions().mode() & 0o111 != 0)
+        .is_ok_and(|metadata| metadata.is_file() && metadata.permissions().mode() & 0o111 != 0)
 }
 
 #[cfg(not(unix))]
@@ -182,12 +194,13 @@ fn is_program(path: &Path) -> bool {
 
 /// Returns the standard output of a program, if it succeeds.
 fn program_output(command: &mut Command) -> Option<String> {
-    let done = command
+    let output = command
         .stdin(Stdio::null())
         .stderr(Stdio::null())
         .output()
         .ok()?;
-    done.status
+    output
+        .status
         .success()
-        .then(|| String::from_utf8_lossy(&done.stdout).trim().to_owned())
+        .then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::global_options::GlobalOptions;
 use clap::Args;
+use crumple_controllers::Controllers;
 use crumple_explore::{CatalogScenario, ExploreConfig, ServeError, Server};
 use serde::Serialize;
 
@@ -51,45 +52,51 @@ struct Address {
 
 impl Explore {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
-        let GlobalOptions { quiet, controllers } = global;
-        let mut offer = ExploreConfig {
-            controllers: self.controller,
-            estimator: self.estimator,
-            controllers_of_files: controllers,
-            ..ExploreConfig::default()
-        };
         let page = if self.what.first().is_some_and(|first| first.is_dir()) {
             "campaigns"
         } else {
             ""
         };
-        for path in self.what {
-            if path.is_dir() {
-                offer.campaigns.push(path);
-                continue;
-            }
-            let scenario = args::load_scenario(&path, controllers)?;
-            let name = path.display().to_string();
-            offer.scenarios.push(CatalogScenario { name, scenario });
-        }
-        let server = Server::bind(self.port, offer)?;
-        let (address, port) = (server.url(), server.port());
+        let format = self.format;
+        let server = Server::bind(self.port, self.into_config(global.controllers)?)?;
+        let address = server.url();
+        let port = server.port();
         let page = format!("{address}{page}");
-        let words = format!("{page}\n");
+        let text = format!("{page}\n");
         output::print_result(
-            self.format,
+            format,
             &Address {
                 address,
                 page,
                 port,
             },
-            || words,
+            || text,
         )?;
         output::note(
             "open this address in a browser on this machine; Ctrl-C stops the server",
-            quiet,
+            global.quiet,
         );
         Ok(server.run()?)
+    }
+
+    /// Loads the scenarios to explore.
+    fn into_config(self, controllers: Controllers) -> Result<ExploreConfig, CliError> {
+        let mut config = ExploreConfig {
+            controllers: self.controller,
+            estimator: self.estimator,
+            controllers_of_files: controllers,
+            ..ExploreConfig::default()
+        };
+        for path in self.what {
+            if path.is_dir() {
+                config.campaigns.push(path);
+                continue;
+            }
+            let scenario = args::load_scenario(&path, controllers)?;
+            let name = path.display().to_string();
+            config.scenarios.push(CatalogScenario { name, scenario });
+        }
+        Ok(config)
     }
 }
 

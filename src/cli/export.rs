@@ -107,123 +107,102 @@ enum ExportContent {
     Actions,
 }
 
+impl ExportedScenario {
+    fn to_line(&self) -> String {
+        let controller = match (&self.controller, self.estimator) {
+            (Some(controller), Some(estimator)) => {
+                format!(
+                    ", under {}, estimator {estimator}",
+                    TerminalText(controller)
+                )
+            }
+            _ => String::new(),
+        };
+        format!(
+            "{}: {} vehicles, {} vertices{controller}\n",
+            TerminalText(&self.openscenario),
+            self.vehicles,
+            self.vertices
+        )
+    }
+}
+
 impl Export {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
         let ExportFormat::OpenScenario = self.to;
-        if self.what == ExportContent::Actions && self.controller.is_some() {
-            let problem = "--controller: applies only to `--as trajectories`; with `--as actions`, supply the \
-                           controller in the other simulator";
-            return Err(CliError::Input(problem.to_owned()));
-        }
+        self.check_options()?;
         let folder = OutputFolder::with_listing(&self.out, "exported.sha256")?;
-        let (mut written, mut exported, mut names) = (Vec::new(), Vec::new(), Vec::new());
-        for given in &self.scenarios {
-            let scenario = args::load_scenario(given, controllers)?;
+        let mut files = Vec::new();
+        let mut exported = Vec::new();
+        let mut names = Vec::new();
+        for path in &self.scenarios {
+            let scenario = args::load_scenario(path, controllers)?;
             let name = file_stem(&scenario.spec().name);
             if names.contains(&name) {
                 let problem = "would overwrite the file of another scenario of this command: use a separate --out for \
                                each";
-                return Err(CliError::at(given, format!("{name}.xosc {problem}")));
+                return Err(CliError::at(path, format!("{name}.xosc {problem}")));
             }
             let road = format!("{name}.xodr");
-            let driven = self.controller_setup(given, &scenario, controllers)?;
-            let made = self.export(&scenario, driven.as_ref(), &road, quiet)?;
+            let driven = self.controller_setup(path, &scenario, controllers)?;
+            let documents = self.export(&scenario, driven.as_ref(), &road, quiet)?;
             let storyboard = format!("{name}.xosc");
             exported.push(ExportedScenario {
                 scenario: scenario.spec().name.clone(),
                 openscenario: self.out.join(&storyboard).display().to_string(),
                 opendrive: self.out.join(&road).display().to_string(),
                 vehicles: scenario.vehicles().len(),
-                vertices: made.vertices,
+                vertices: documents.vertices,
                 controller: driven.as_ref().map(|driven| driven.controller.name.clone()),
                 estimator: driven.as_ref().map(|driven| driven.estimator.name()),
             });
-            written.extend([(storyboard, made.scenario), (road, made.road)]);
+            files.extend([(storyboard, documents.scenario), (road, documents.road)]);
             names.push(name);
         }
-        folder.write(&written, EarlierFiles::Keep)?;
-        let line = |one: &ExportedScenario| {
-            let under = match (&one.controller, one.estimator) {
-                (Some(controller), Some(estimator)) => {
-                    format!(
-                        ", under {}, estimator {estimator}",
-                        TerminalText(controller)
-                    )
-                }
-                _ => String::new(),
-            };
-            format!(
-                "{}: {} vehicles, {} vertices{under}\n",
-                TerminalText(&one.openscenario),
-                one.vehicles,
-                one.vertices
-            )
-        };
+        folder.write(&files, EarlierFiles::Keep)?;
         output::print_result(self.format, &exported, || {
-            exported.iter().map(line).collect()
+            exported.iter().map(ExportedScenario::to_line).collect()
         })
+    }
+
+    fn check_options(&self) -> Result<(), CliError> {
+        if self.what == ExportContent::Actions && self.controller.is_some() {
+            let problem = "--controller: applies only to `--as trajectories`; with `--as actions`, supply the \
+                           controller in the other simulator";
+            return Err(CliError::Input(problem.to_owned()));
+        }
+        Ok(())
     }
 
     /// Returns the controller of the vehicles under test: the one that the user names, or else that of the
     /// counterexample. `None` if no vehicle is under test, or the user supplies the controller in the other simulator.
     fn controller_setup(
         &self,
-        given: &Path,
+        path: &Path,
         scenario: &Scenario,
         controllers: Controllers,
     ) -> Result<Option<ExportController>, CliError> {
         if self.what == ExportContent::Actions || !scenario.has_vehicle_under_test() {
             return Ok(None);
         }
-        let driven = |controller, estimator: Option<EstimatorKind>| {
-            Ok(Some(ExportController {
-                controller,
-                estimator: self.estimator.or(estimator).unwrap_or_default(),
-            }))
-        };
-        if let Some(controller) = &self.controller {
-            return driven(controller.clone(), None);
-        }
-        if args::find_built_in_scenario(given).is_some() {
-            return driven(
-                controllers
+        let mut setup = if let Some(controller) = &self.controller {
+            ExportController {
+                controller: controller.clone(),
+                estimator: EstimatorKind::default(),
+            }
+        } else if args::find_built_in_scenario(path).is_some() {
+            ExportController {
+                controller: controllers
                     .find("baseline", Path::new(""))
                     .map_err(CliError::from_cause)?,
-                None,
-            );
-        }
-        let mut records = VerdictRecordReader::default();
-        let Some(recorded) = records.find(given)? else {
-            let problem =
-                "no record states the controller of this scenario: choose one with --controller";
-            return Err(CliError::at(given, problem));
+                estimator: EstimatorKind::default(),
+            }
+        } else {
+            recorded_controller(path, controllers)?
         };
-        let [verdict] = recorded.by_controller()[..] else {
-            let names: Vec<_> = recorded
-                .by_controller()
-                .iter()
-                .map(|verdict| format!("`{}`", verdict.controller))
-                .collect();
-            let problem = format!(
-                "the scenario is recorded with several controllers ({}): choose one with --controller",
-                names.join(" and ")
-            );
-            return Err(CliError::at(given, problem));
-        };
-        let controller = recorded
-            .find_controller(verdict, controllers)
-            .map_err(|error| {
-                let problem = format!(
-                    "the record names the controller `{}`: {error}",
-                    verdict.controller
-                );
-                CliError::at(
-                    given,
-                    format!("{problem}; choose another one with --controller"),
-                )
-            })?;
-        driven(controller, Some(verdict.estimator))
+        setup.estimator = self.estimator.unwrap_or(setup.estimator);
+        Ok(Some(setup))
     }
 
     fn export(
@@ -234,21 +213,18 @@ impl Export {
         quiet: bool,
     ) -> Result<OpenScenario, CliError> {
         let name = &scenario.spec().name;
-        let failed = |error: &dyn std::fmt::Display| CliError::Input(format!("{name}: {error}"));
         if self.what == ExportContent::Actions {
-            return openscenario::export_actions(scenario, road).map_err(|error| failed(&error));
+            return openscenario::export_actions(scenario, road)
+                .map_err(|error| scenario_error(name, error));
         }
-        let (kind, estimator) = match driven {
-            Some(driven) => (driven.controller.source.clone(), driven.estimator),
-            None => (
-                BuiltInController::Baseline(Default::default()).into_source(),
-                EstimatorKind::default(),
-            ),
-        };
-        let options = RunOptions::new(kind)
-            .with_estimator(estimator)
+        let controller = driven.map_or_else(
+            || BuiltInController::Baseline(Default::default()).into_source(),
+            |driven| driven.controller.source.clone(),
+        );
+        let options = RunOptions::new(controller)
+            .with_estimator(driven.map_or_else(EstimatorKind::default, |driven| driven.estimator))
             .with_after_contact(self.after_collision.behaviour);
-        let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
+        let run = Run::new(scenario, options).map_err(|error| scenario_error(name, error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {
             output::note(
@@ -258,21 +234,68 @@ impl Export {
         }
         let trace = simulated
             .trace
-            .ok_or_else(|| failed(&"no motion was recorded"))?;
+            .ok_or_else(|| scenario_error(name, "no motion was recorded"))?;
         let controller = driven.map(|driven| driven.controller.name.as_str());
         openscenario::export_trajectories(scenario, &trace, controller, road)
-            .map_err(|error| failed(&error))
+            .map_err(|error| scenario_error(name, error))
     }
+}
+
+fn scenario_error(name: &str, problem: impl std::fmt::Display) -> CliError {
+    CliError::Input(format!("{name}: {problem}"))
+}
+
+/// Returns the only controller that the record of a counterexample names.
+fn recorded_controller(
+    path: &Path,
+    controllers: Controllers,
+) -> Result<ExportController, CliError> {
+    let mut records = VerdictRecordReader::default();
+    let Some(recorded) = records.find(path)? else {
+        let problem =
+            "no record states the controller of this scenario: choose one with --controller";
+        return Err(CliError::at(path, problem));
+    };
+    let [verdict] = recorded.by_controller()[..] else {
+        let names: Vec<_> = recorded
+            .by_controller()
+            .iter()
+            .map(|verdict| format!("`{}`", verdict.controller))
+            .collect();
+        let problem = format!(
+            "the scenario is recorded with several controllers ({}): choose one with --controller",
+            names.join(" and ")
+        );
+        return Err(CliError::at(path, problem));
+    };
+    let controller = recorded
+        .find_controller(verdict, controllers)
+        .map_err(|error| {
+            let problem = format!(
+                "the record names the controller `{}`: {error}",
+                verdict.controller
+            );
+            CliError::at(
+                path,
+                format!("{problem}; choose another one with --controller"),
+            )
+        })?;
+    Ok(ExportController {
+        controller,
+        estimator: verdict.estimator,
+    })
 }
 
 /// Returns a file name for a scenario's name.
 pub(super) fn file_stem(name: &str) -> String {
-    let plain = |c: char| {
-        if c.is_alphanumeric() || "-_.".contains(c) {
-            c
-        } else {
-            '-'
-        }
-    };
-    name.chars().map(plain).take(60).collect()
+    name.chars()
+        .map(|c| {
+            if c.is_alphanumeric() || "-_.".contains(c) {
+                c
+            } else {
+                '-'
+            }
+        })
+        .take(60)
+        .collect()
 }

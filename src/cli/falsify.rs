@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
 
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
@@ -145,13 +146,13 @@ impl SearchExpectation {
             ))),
             (Self::Nothing, true) => {
                 let kinds = summary.counterexamples.len();
-                let found = if kinds == 1 {
+                let failures = if kinds == 1 {
                     "1 distinct failure"
                 } else {
                     &format!("{kinds} distinct failures")
                 };
                 Err(CliError::Gate(format!(
-                    "expected no failure, but found {found} in {evaluations} evaluations"
+                    "expected no failure, but found {failures} in {evaluations} evaluations"
                 )))
             }
             // Runs without a verdict are no evidence for the controller.
@@ -228,45 +229,70 @@ impl Falsify {
             self.budget.saturating_mul(campaign.methods().len() as u64),
             quiet,
         );
-        let observer = Listener(|state: &CampaignProgress| {
-            let failures = format_failure_count(state.failures);
-            match (&state.method, state.examination) {
-                (Some(method), _) => {
-                    bar.set_position(state.evaluations);
-                    bar.set_message(format!(
-                        "{method}: {failures}, best {:.2};",
-                        state.best_robustness
-                    ));
-                }
-                (None, Some(step)) => {
-                    progress::show_uncounted_step(&bar, format!("{failures}; {}", step.describe()))
-                }
-                (None, None) => {
-                    progress::show_uncounted_step(&bar, format!("{failures}; writing the results"))
-                }
-            }
-        });
-        let kept = if self.log == EvaluationLog::Full {
-            ", evaluations"
-        } else {
-            ""
-        };
-        let summary = study.run(&observer);
+        let summary = study.run(&Listener(|state: &CampaignProgress| {
+            show_progress(&bar, state)
+        }));
         bar.finish_and_clear();
         let summary = summary?;
-        let found = if summary.counterexamples.is_empty() {
-            ""
-        } else {
-            ", counterexamples"
-        };
-        output::note(
-            &format!("wrote {} (summary{found}{kept})", self.out.display()),
-            quiet,
-        );
+        note_files(&summary, self.log, &self.out, quiet);
         let expected = self
             .expect
             .map_or(Ok(()), |expected| expected.check(&summary));
         CliError::gate_first(expected, print_summary(&summary, self.format))
+    }
+}
+
+/// Shows the method and its best result, or the examination of counterexamples.
+fn show_progress(bar: &ProgressBar, state: &CampaignProgress) {
+    let failures = format_failure_count(state.failures);
+    match (&state.method, state.examination) {
+        (Some(method), _) => {
+            bar.set_position(state.evaluations);
+            bar.set_message(format!(
+                "{method}: {failures}, best {:.2};",
+                state.best_robustness
+            ));
+        }
+        (None, Some(step)) => {
+            progress::show_uncounted_step(bar, format!("{failures}; {}", step.describe()))
+        }
+        (None, None) => {
+            progress::show_uncounted_step(bar, format!("{failures}; writing the results"))
+        }
+    }
+}
+
+fn note_files(summary: &CampaignSummary, log: EvaluationLog, out: &Path, quiet: bool) {
+    let evaluations = if log == EvaluationLog::Full {
+        ", evaluations"
+    } else {
+        ""
+    };
+    let counterexamples = if summary.counterexamples.is_empty() {
+        ""
+    } else {
+        ", counterexamples"
+    };
+    output::note(
+        &format!(
+            "wrote {} (summary{counterexamples}{evaluations})",
+            out.display()
+        ),
+        quiet,
+    );
+}
+
+fn check_distinct(methods: &[Method]) -> Result<(), CliError> {
+    match methods
+        .iter()
+        .enumerate()
+        .find(|(index, method)| methods[..*index].contains(method))
+    {
+        Some((_, method)) => Err(CliError::Input(format!(
+            "--compare: {} is given twice",
+            method.name()
+        ))),
+        None => Ok(()),
     }
 }
 
@@ -279,16 +305,7 @@ fn compare(
     format: OutputFormat,
     quiet: bool,
 ) -> Result<(), CliError> {
-    if let Some(twice) = methods
-        .iter()
-        .enumerate()
-        .find_map(|(place, one)| methods[..place].contains(one).then_some(one))
-    {
-        return Err(CliError::Input(format!(
-            "--compare: {} is given twice",
-            twice.name()
-        )));
-    }
+    check_distinct(methods)?;
     let total = campaign
         .search
         .budget

@@ -22,7 +22,7 @@ pub(super) fn detect(path: &Path) -> Option<&'static str> {
     let begins_with = |key: &str| {
         begin
             .windows(key.len())
-            .any(|found| found == key.as_bytes())
+            .any(|window| window == key.as_bytes())
     };
     if begins_with("\"crumple_policy\"") {
         Some(

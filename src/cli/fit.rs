@@ -107,8 +107,8 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
         else {
             continue;
         };
-        let known = by_length.entry(length).or_default();
-        if let Some(other) = known
+        let same_length = by_length.entry(length).or_default();
+        if let Some(other) = same_length
             .iter()
             .find(|other| have_same_content(path, other).unwrap_or(false))
         {
@@ -120,18 +120,20 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
                 ),
             ));
         }
-        known.push(path);
+        same_length.push(path);
     }
     Ok(())
 }
 
 fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    let bytes = |path: &Path| -> io::Result<_> {
-        Ok(BufReader::new(regular_file::open(path)?)
-            .bytes()
-            .map_while(Result::ok))
-    };
-    Ok(bytes(a)?.eq(bytes(b)?))
+    Ok(read_bytes(a)?.eq(read_bytes(b)?))
+}
+
+/// Yields the bytes of a file, up to the first that cannot be read.
+fn read_bytes(path: &Path) -> io::Result<impl Iterator<Item = u8>> {
+    Ok(BufReader::new(regular_file::open(path)?)
+        .bytes()
+        .map_while(Result::ok))
 }
 
 impl Fit {
@@ -160,7 +162,8 @@ impl Fit {
         let mut collector = EpisodeCollector::new(extraction).map_err(CliError::input)?;
         for path in &self.recordings {
             let (bar, progress) = read_bar(quiet);
-            let (mut dropped, mut added) = (Vec::new(), Ok(()));
+            let mut dropped = Vec::new();
+            let mut added = Ok(());
             let read = load_parts(path, map, Some(&progress), &mut |mut part| {
                 merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
                 added = collector.add(&part);

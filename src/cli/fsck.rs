@@ -99,30 +99,31 @@ fn examine_folder(folder: &Path) -> Result<FolderReport, CliError> {
         };
         return Err(CliError::at(folder, problem));
     }
-    let mut found = verify_journal(folder, examine(folder)?)?;
-    if found.kind == REPORT_KIND {
+    let mut examination = verify_journal(folder, examine(folder)?)?;
+    if examination.kind == REPORT_KIND {
         // Evidence and listing serve the next report and have separate hashes.
-        found
+        examination
             .unrelated_files
             .retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
     }
-    Ok(FolderReport::new(folder, &found))
+    Ok(FolderReport::new(folder, &examination))
 }
 
 /// Returns the run folders in a folder of trainings, one per seed; otherwise the folder itself.
 fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
-    let is_seed = |path: &PathBuf| {
-        path.is_dir()
-            && path
-                .file_name()
-                .is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
-    };
     let inner = fs::read_dir(folder)
         .into_iter()
         .flatten()
         .flatten()
         .map(|entry| entry.path());
-    let mut seeds: Vec<PathBuf> = inner.filter(is_seed).collect();
+    let mut seeds: Vec<PathBuf> = inner
+        .filter(|path| {
+            path.is_dir()
+                && path
+                    .file_name()
+                    .is_some_and(|name| name.to_string_lossy().starts_with("seed-"))
+        })
+        .collect();
     seeds.sort_unstable();
     if seeds.is_empty() || is_run_folder(folder) {
         vec![folder.to_owned()]

@@ -218,17 +218,17 @@ impl Import {
             output::note(&dropped.to_string(), quiet);
         }
         let name = path.display().to_string();
-        let Some(seen) = preview(&recording) else {
+        let Some(preview_text) = preview(&recording) else {
             return Err(CliError::NothingFound(format!(
                 "{name}: {}",
                 hardest_braking(&recording)
             )));
         };
-        let drawn = self::render_figure(&figures::draw_recording(&seen, &name), picture)?;
+        let drawn = self::render_figure(&figures::draw_recording(&preview_text, &name), picture)?;
         let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
-        let summary = RecordingSummary::new(&name, &recording, &seen);
+        let summary = RecordingSummary::new(&name, &recording, &preview_text);
         match self.format {
             OutputFormat::Json => output::print_json(&summary),
             OutputFormat::Text => output::print(&summary.to_text()),
@@ -312,14 +312,10 @@ impl Import {
     fn count_other_scenarios(&self, written: &[String]) -> Result<usize, CliError> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
         let written: HashSet<_> = written.iter().map(OsStr::new).collect();
-        let is_scenario = |path: &PathBuf| {
+        let others = entries.flatten().map(|entry| entry.path()).filter(|path| {
             path.extension()
                 .is_some_and(|extension| extension == "toml")
-        };
-        let others = entries
-            .flatten()
-            .map(|entry| entry.path())
-            .filter(is_scenario);
+        });
         Ok(others
             .filter(|path| path.file_name().is_some_and(|name| !written.contains(name)))
             .count())

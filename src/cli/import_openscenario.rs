@@ -149,6 +149,21 @@ fn readable(text: String, name: &str) -> Result<String, CliError> {
     )))
 }
 
+fn describe_values(variation: &Variation) -> String {
+    let values: Vec<_> = variation
+        .iter()
+        .map(|(name, value)| format!("{name} = {value}"))
+        .collect();
+    values.join(", ")
+}
+
+fn too_many_variations() -> CliError {
+    let most = MAX_FOLDER_BYTES >> 20;
+    CliError::Input(format!(
+        "the scenarios of all variations have more than {most} MiB: give fewer values"
+    ))
+}
+
 /// Returns the files of all variations, with the notes of the first.
 fn import_variations(
     source: &OpenScenarioSource,
@@ -156,17 +171,13 @@ fn import_variations(
     variations: &[Variation],
     progress: &dyn Observer<RunProgress>,
 ) -> Result<ConvertedFiles, CliError> {
-    let (mut files, mut violating, mut notes) = (Vec::new(), 0, Vec::new());
-    let (counter, mut bytes_left) = (
-        ProgressCounter::new(progress, Some(variations.len() as u64)),
-        MAX_FOLDER_BYTES,
-    );
+    let mut files = Vec::new();
+    let mut violating = 0;
+    let mut notes = Vec::new();
+    let mut bytes_left = MAX_FOLDER_BYTES;
+    let counter = ProgressCounter::new(progress, Some(variations.len() as u64));
     for (index, variation) in variations.iter().enumerate() {
-        let values: Vec<_> = variation
-            .iter()
-            .map(|(name, value)| format!("{name} = {value}"))
-            .collect();
-        let values = values.join(", ");
+        let values = describe_values(variation);
         counter.add(1).map_err(CliError::input)?;
         let imported = match source.scenario(ego, variation) {
             Ok(imported) => imported,
@@ -180,14 +191,11 @@ fn import_variations(
             let stem: String = spec.name.chars().take(190).collect();
             (spec.name, spec.about) = (format!("{stem}-{:05}", index + 1), values);
         });
-        let (name, text) = scenario_file(&named.map_err(CliError::input)?)?;
-        bytes_left = bytes_left.checked_sub(text.len() as u64).ok_or_else(|| {
-            let most = MAX_FOLDER_BYTES >> 20;
-            CliError::Input(format!(
-                "the scenarios of all variations have more than {most} MiB: give fewer values"
-            ))
-        })?;
-        files.push((name, text));
+        let file = scenario_file(&named.map_err(CliError::input)?)?;
+        bytes_left = bytes_left
+            .checked_sub(file.1.len() as u64)
+            .ok_or_else(too_many_variations)?;
+        files.push(file);
         if files.len() == 1 {
             notes = imported.notes;
         }

@@ -108,14 +108,11 @@ enum InvariantPlant {
 /// Parses `A..B` with A at most B.
 fn parse_range(text: &str) -> Result<[f64; 2], String> {
     let (low, high) = text.split_once("..").ok_or("must be two numbers, A..B")?;
-    let number = |text: &str| {
-        text.trim()
-            .parse::<f64>()
-            .ok()
-            .filter(|number| number.is_finite())
-    };
-    match (number(low), number(high)) {
-        (Some(low), Some(high)) if low <= high => Ok([low, high]),
+    let range = [low, high].map(|text| text.trim().parse::<f64>());
+    match range {
+        [Ok(low), Ok(high)] if low.is_finite() && high.is_finite() && low <= high => {
+            Ok([low, high])
+        }
         _ => Err("must be two finite numbers A..B, with A at most B".to_owned()),
     }
 }
@@ -150,16 +147,18 @@ impl InvariantCommand {
             .flatten()
             .try_for_each(|path| output::resolve_output_path(path).map(drop))?;
         let scenario = args::load_scenario(&self.scenario, controllers)?;
-        let failed = |error: InvalidBox| self.describe_refusal(error);
         let plan = InvariantPlan::new(
             self.controller.source.clone(),
             &scenario,
             self.spec(&scenario),
         )
-        .map_err(failed)?;
+        .map_err(|error| self.describe_refusal(error))?;
         let bar = progress::share_bar("", quiet);
         let observer = Listener(|now: &InvariantProgress| show_progress(&bar, now));
-        let Some(set) = plan.search(self.options(), &observer).map_err(failed)? else {
+        let Some(set) = plan
+            .search(self.options(), &observer)
+            .map_err(|error| self.describe_refusal(error))?
+        else {
             bar.finish_and_clear();
             return Err(CliError::Gate(format!(
                 "{}: no set found; try larger --cells, --splits or --smallest-gap",
@@ -172,7 +171,9 @@ impl InvariantCommand {
                 CliError::Gate(format!("the checker rejected the proof: {rejection}"))
             })?;
         bar.set_message("searching for a leader that defeats the controller");
-        let defeat = plan.defeat(&set.table).map_err(failed)?;
+        let defeat = plan
+            .defeat(&set.table)
+            .map_err(|error| self.describe_refusal(error))?;
         bar.finish_and_clear();
         let report = InvariantReport::new(&self.controller.name, &set, &accepted, defeat)
             .ok_or_else(|| CliError::Gate("the checker proved another claim".to_owned()))?;
@@ -210,14 +211,17 @@ impl InvariantCommand {
 
     /// Returns the limits and the region that the arguments state.
     fn spec(&self, scenario: &Scenario) -> InvariantSpec {
-        let (motion, region_leader_mps) = match self.plant {
-            InvariantPlant::Absolute => (MotionModel::Absolute, self.leader_speed),
-            InvariantPlant::Relative => (MotionModel::Relative, [0.0; 2]),
+        let region_leader_mps = match self.plant {
+            InvariantPlant::Absolute => self.leader_speed,
+            InvariantPlant::Relative => [0.0; 2],
         };
         InvariantSpec {
             version: 1,
             scenario: scenario.spec().name.clone(),
-            motion,
+            motion: match self.plant {
+                InvariantPlant::Absolute => MotionModel::Absolute,
+                InvariantPlant::Relative => MotionModel::Relative,
+            },
             leader_mps2: self.leader_accel,
             observation_error: [self.gap_error, self.speed_error, self.speed_error],
             region_gap_m: self.gap,
@@ -233,9 +237,9 @@ impl InvariantCommand {
         match error {
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
-                let place = self.controller.field_location(&invalid.field);
+                let field = self.controller.field_location(&invalid.field);
                 CliError::Input(format!(
-                    "--controller: {place}cannot be followed: {invalid}"
+                    "--controller: {field}cannot be followed: {invalid}"
                 ))
             }
             InvalidBox::Field(invalid) => CliError::Input(format!(
@@ -279,7 +283,7 @@ impl InvariantCommand {
         }
         let [low, high] = [self.speed[0], self.speed[1].min(own.high)];
         let speeds = (1..=PICTURE_LINES)
-            .map(|place| low + (high - low) * f64::from(place) / f64::from(PICTURE_LINES));
+            .map(|index| low + (high - low) * f64::from(index) / f64::from(PICTURE_LINES));
         speeds
             .map(|own_mps| {
                 let speeds = (0..leader.node_count())

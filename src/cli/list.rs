@@ -55,6 +55,15 @@ struct CatalogueEntry {
     summary: String,
 }
 
+impl From<(&'static str, &str)> for CatalogueEntry {
+    fn from((name, summary): (&'static str, &str)) -> Self {
+        Self {
+            name,
+            summary: summary.to_owned(),
+        }
+    }
+}
+
 impl Catalogue {
     fn title(self) -> &'static str {
         match self {
@@ -66,12 +75,8 @@ impl Catalogue {
     }
 
     fn entries(self) -> Vec<CatalogueEntry> {
-        let entry = |(name, summary): (_, &str)| CatalogueEntry {
-            name,
-            summary: summary.to_owned(),
-        };
         match self {
-            Self::Scenarios => built_in_scenario_names().map(entry).into(),
+            Self::Scenarios => built_in_scenario_names().map(CatalogueEntry::from).into(),
             Self::Controllers => {
                 let built_in = BuiltInController::all();
                 let own = built_in.iter().map(|spec| {
@@ -92,16 +97,16 @@ impl Catalogue {
                         summary: format!("{}{settings}", spec.summary()),
                     }
                 });
-                own.chain([entry(SHIELD_ENTRY)]).collect()
+                own.chain([SHIELD_ENTRY.into()]).collect()
             }
             Self::Spaces => BUILT_IN_SPACES
                 .into_iter()
                 .chain(HUMAN_SPACES)
-                .map(|(name, summary, _)| entry((name, summary)))
+                .map(|(name, summary, _)| (name, summary).into())
                 .collect(),
             Self::Methods => Method::ALL
                 .iter()
-                .map(|method| entry((method.name(), method.summary())))
+                .map(|method| (method.name(), method.summary()).into())
                 .collect(),
         }
     }
@@ -110,11 +115,16 @@ impl Catalogue {
 impl ListCommand {
     pub(super) fn run(self) -> Result<(), CliError> {
         let catalogues = match self.what {
-            Some(one) => vec![one],
+            Some(catalogue) => vec![catalogue],
             None => Catalogue::value_variants().to_vec(),
         };
-        let entries = |one: &Catalogue| (one.title().to_owned(), serde_json::json!(one.entries()));
-        let all: serde_json::Map<_, _> = catalogues.iter().map(entries).collect();
+        let all: serde_json::Map<_, _> = catalogues
+            .iter()
+            .map(|catalogue| {
+                let entries = serde_json::json!(catalogue.entries());
+                (catalogue.title().to_owned(), entries)
+            })
+            .collect();
         output::print_result(self.format, &all, || {
             format_catalogues(&catalogues, output_columns())
         })
@@ -132,8 +142,7 @@ fn format_catalogues(catalogues: &[Catalogue], columns: usize) -> String {
             write_entry(&mut text, name, &summary, columns);
         }
         if let Catalogue::Controllers = catalogue {
-            let (name, summary) = FILE_ENTRY;
-            write_entry(&mut text, name, summary, columns);
+            write_entry(&mut text, FILE_ENTRY.0, FILE_ENTRY.1, columns);
         }
     }
     text
@@ -170,25 +179,25 @@ fn write_entry(text: &mut String, name: &str, summary: &str, columns: usize) {
     }
 }
 
+fn ends_with_number(text: &str) -> bool {
+    text.trim_end_matches(' ')
+        .ends_with(|last: char| last.is_ascii_digit())
+}
+
 /// Breaks a text into lines, after spaces and commas, but not after a number, which may have a unit.
 fn wrap(text: &str, columns: usize) -> Vec<String> {
     let mut pieces: Vec<String> = Vec::new();
     for piece in text.split_inclusive([' ', ',']) {
-        let is_number = |before: &String| {
-            before
-                .trim_end_matches(' ')
-                .ends_with(|last: char| last.is_ascii_digit())
-        };
-        match pieces.last_mut().filter(|before| is_number(before)) {
+        match pieces.last_mut().filter(|before| ends_with_number(before)) {
             Some(before) => before.push_str(piece),
             None => pieces.push(piece.to_owned()),
         }
     }
     let mut lines = vec![String::new()];
     for piece in &pieces {
-        let width = |text: &str| text.chars().count();
+        let width = piece.trim_end().chars().count();
         match lines.last_mut() {
-            Some(line) if line.is_empty() || width(line) + width(piece.trim_end()) <= columns => {
+            Some(line) if line.is_empty() || line.chars().count() + width <= columns => {
                 line.push_str(piece)
             }
             _ => lines.push(piece.clone()),

@@ -140,7 +140,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     regular_file::permit_pipes(named_pipes(&arguments));
     let parsed = match build_command()
         .try_get_matches_from(&arguments)
-        .and_then(|found| Cli::from_arg_matches(&found))
+        .and_then(|matches| Cli::from_arg_matches(&matches))
     {
         Ok(parsed) => parsed,
         Err(usage) => return report_usage(&usage, &arguments),
@@ -222,13 +222,15 @@ fn named_pipes(arguments: &[OsString]) -> Vec<PathBuf> {
     let words = words
         .flat_map(|word| [Some(word), word.split_once('=').map(|(_, value)| value)])
         .flatten();
-    let is_open_file = |word: &&str| {
-        let number = word
-            .strip_prefix("/dev/fd/")
-            .or_else(|| word.strip_prefix("/proc/self/fd/"));
-        *word == "/dev/stdin" || number.is_some_and(|number| number.parse::<u32>().is_ok())
-    };
-    words.filter(is_open_file).map(PathBuf::from).collect()
+    words
+        .filter(|word| {
+            let number = word
+                .strip_prefix("/dev/fd/")
+                .or_else(|| word.strip_prefix("/proc/self/fd/"));
+            *word == "/dev/stdin" || number.is_some_and(|number| number.parse::<u32>().is_ok())
+        })
+        .map(PathBuf::from)
+        .collect()
 }
 
 fn build_command() -> clap::Command {
@@ -276,16 +278,15 @@ fn list_by_task(command: &clap::Command) -> String {
 
 /// Lets options take negative numbers, so that errors name the value instead of an unknown option.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
-    let takes_one = |arg: &clap::Arg| arg.get_long().is_some() && arg.get_action().takes_values();
-    let allowed = |arg: clap::Arg| {
-        if takes_one(&arg) {
-            arg.allow_negative_numbers(true)
-        } else {
-            arg
-        }
-    };
     command
-        .mut_args(allowed)
+        .mut_args(|arg| {
+            let takes_value = arg.get_long().is_some() && arg.get_action().takes_values();
+            if takes_value {
+                arg.allow_negative_numbers(true)
+            } else {
+                arg
+            }
+        })
         .mut_subcommands(with_negative_numbers)
 }
 
@@ -333,7 +334,7 @@ mod tests {
 
     /// An error about a number says which numbers are right; those of Rust's parsers do not.
     #[test]
-    fn a_word_in_place_of_a_number_is_answered_with_the_numbers_that_are_right() {
+    fn the_error_of_a_number_names_its_range() {
         fn check(command: &clap::Command, path: &[&str], numbers: &mut usize) {
             for argument in command
                 .get_arguments()

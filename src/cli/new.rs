@@ -173,12 +173,13 @@ impl New {
             .ok()
             .filter(|path| path.join("crates/testing").is_dir());
         // Manifests of Cargo quote the path in double quotes.
-        let is_plain = |path: &&str| {
-            !path.contains(|letter: char| letter.is_control() || "\"\\".contains(letter))
-        };
-        let path = path.as_deref().and_then(Path::to_str).filter(is_plain);
-        let path =
-            path.ok_or_else(|| CliError::at(folder, "is not a folder with the source of crumple"))?;
+        let path = path
+            .as_deref()
+            .and_then(Path::to_str)
+            .filter(|path| {
+                !path.contains(|letter: char| letter.is_control() || "\"\\".contains(letter))
+            })
+            .ok_or_else(|| CliError::at(folder, "is not a folder with the source of crumple"))?;
         let dependency =
             |name: &str| format!("crumple-{name} = {{ path = \"{path}/crates/{name}\" }}");
         let python = format!("file://{}/python", percent_encoded(path));
@@ -193,12 +194,13 @@ impl New {
 
 /// Replaces the keys in a template by their values. The values themselves, such as a path, are not changed.
 fn fill(template: &str, values: &[(&str, &str)]) -> String {
-    let (mut text, mut rest) = (String::new(), template);
+    let mut text = String::new();
+    let mut rest = template;
     loop {
-        let found = values
+        let occurrences = values
             .iter()
             .filter_map(|(key, value)| Some((rest.find(key)?, *key, *value)));
-        let Some((at, key, value)) = found.min_by_key(|(at, ..)| *at) else {
+        let Some((at, key, value)) = occurrences.min_by_key(|(at, ..)| *at) else {
             return text + rest;
         };
         let (before, after) = rest.split_at(at);

@@ -83,28 +83,18 @@ const VERDICTS: &[(&str, AnsiColor)] = &[
 ];
 
 fn colour_verdict(line: &str) -> String {
-    let stands_alone = |at: usize, word: &str| {
-        let is_letter = |letter: char| letter.is_alphanumeric() || letter == '-' || letter == '_';
-        let before = line.get(..at).and_then(|before| before.chars().next_back());
-        let after = line
-            .get(at + word.len()..)
-            .and_then(|after| after.chars().next());
-        !before.is_some_and(is_letter) && !after.is_some_and(is_letter)
-    };
-    let found = VERDICTS.iter().filter_map(|(word, colour)| {
+    let verdicts = VERDICTS.iter().filter_map(|(word, colour)| {
         let at = line
             .match_indices(word)
             .map(|(at, _)| at)
-            .find(|at| stands_alone(*at, word))?;
+            .find(|at| is_whole_word(line, *at, word.len()))?;
         Some((at, *word, *colour))
     });
-    match found.min_by_key(|(at, ..)| *at) {
+    match verdicts.min_by_key(|(at, ..)| *at) {
         None => line.to_owned(),
         Some((at, word, colour)) => {
-            let (before, after) = (
-                line.get(..at).unwrap_or_default(),
-                line.get(at + word.len()..).unwrap_or_default(),
-            );
+            let before = line.get(..at).unwrap_or_default();
+            let after = line.get(at + word.len()..).unwrap_or_default();
             // A good verdict about some of several results is not one about all.
             let is_partial = colour == AnsiColor::Green
                 && share_in(before).is_some_and(|[count, all]| count < all);
@@ -119,14 +109,27 @@ fn colour_verdict(line: &str) -> String {
     }
 }
 
+/// Returns true if a part of a line is not part of a longer word.
+fn is_whole_word(line: &str, start: usize, length: usize) -> bool {
+    let before = line
+        .get(..start)
+        .and_then(|before| before.chars().next_back());
+    let after = line
+        .get(start + length..)
+        .and_then(|after| after.chars().next());
+    [before, after]
+        .into_iter()
+        .flatten()
+        .all(|letter| !(letter.is_alphanumeric() || letter == '-' || letter == '_'))
+}
+
 /// Returns the last share `COUNT of ALL` in a text.
 fn share_in(text: &str) -> Option<[u64; 2]> {
     let words: Vec<&str> = text.split_whitespace().collect();
-    let share = |words: &[&str]| match words {
+    words.windows(3).rev().find_map(|words| match words {
         [count, "of", all] => Some([count.parse().ok()?, all.parse().ok()?]),
         _ => None,
-    };
-    words.windows(3).rev().find_map(share)
+    })
 }
 
 pub(super) fn print_result(
@@ -213,12 +216,12 @@ fn emit_to_stderr(mut line: String) {
 /// a plain file, such as a terminal or `/dev/null`, since writing moves a whole file into place. Refuses a path in a
 /// folder that does not exist.
 pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
-    let Ok(there) = fs::symlink_metadata(path) else {
+    let Ok(metadata) = fs::symlink_metadata(path) else {
         let folder = path
             .parent()
             .filter(|folder| !folder.as_os_str().is_empty());
         let is_missing = folder.is_some_and(|folder| match fs::metadata(folder) {
-            Ok(found) => !found.is_dir(),
+            Ok(metadata) => !metadata.is_dir(),
             Err(error) => matches!(
                 error.kind(),
                 io::ErrorKind::NotFound | io::ErrorKind::NotADirectory
@@ -233,7 +236,7 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
             _ => Ok(path.to_owned()),
         };
     };
-    let place = match there.is_symlink() {
+    let target = match metadata.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
             CliError::at(
                 path,
@@ -242,14 +245,14 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
         })?,
         false => path.to_owned(),
     };
-    let found = fs::metadata(&place).map_err(DiskError::at(path))?;
-    if !found.is_file() && !found.is_dir() {
+    let metadata = fs::metadata(&target).map_err(DiskError::at(path))?;
+    if !metadata.is_file() && !metadata.is_dir() {
         return Err(CliError::at(
             path,
             "is not a regular file; choose the name of a new or regular file",
         ));
     }
-    Ok(place)
+    Ok(target)
 }
 
 #[cfg(test)]
@@ -284,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn one_verdict_of_a_line_is_coloured_where_it_stands_alone() {
+    fn the_first_whole_verdict_of_a_line_is_coloured() {
         for (line, word) in [
             (
                 "  COLLISION at 1.23 s: vehicle 2 hits vehicle 1",

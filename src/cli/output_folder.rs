@@ -40,10 +40,8 @@ impl OutputFolder {
             listing: Some(listing),
             ..Self::without_listing(path, false)
         };
-        let (before, announced) = (
-            read_listing(&path.join(listing))?,
-            read_listing(&pending_listing(path, listing))?,
-        );
+        let before = read_listing(&path.join(listing))?;
+        let announced = read_listing(&pending_listing(path, listing))?;
         Ok(folder.with_known_files(before.into_iter().chain(announced)))
     }
 
@@ -69,11 +67,10 @@ impl OutputFolder {
 
     /// Checks, before long work, that files of these names may be written with any contents.
     pub(super) fn check(&self, names: &[&str]) -> Result<(), CliError> {
-        let is_own = |name: &&str| {
-            self.path.join(name).symlink_metadata().is_err()
-                || self.unchanged_digest(name).is_some()
-        };
-        match names.iter().find(|name| !is_own(name)) {
+        let changed = names.iter().find(|name| {
+            self.path.join(name).symlink_metadata().is_ok() && self.unchanged_digest(name).is_none()
+        });
+        match changed {
             Some(name) => Err(CliError::at(&self.path.join(name), CHANGED_FILE_PROBLEM)),
             None => Ok(()),
         }
@@ -94,6 +91,17 @@ impl OutputFolder {
         let Some(listing) = self.listing else {
             return Ok(files.commit()?);
         };
+        self.commit_with_listing(files, contents, earlier, listing)
+    }
+
+    /// Moves staged files into place, with a listing of them and of the earlier files that stay.
+    fn commit_with_listing(
+        &self,
+        mut files: StagedFiles,
+        contents: &[(String, Vec<u8>)],
+        earlier: EarlierFiles,
+        listing: &str,
+    ) -> Result<(), CliError> {
         let mut next: BTreeMap<&str, String> = contents
             .iter()
             .map(|(name, contents)| (name.as_str(), sha256(contents)))
@@ -110,16 +118,12 @@ impl OutputFolder {
                 (false, EarlierFiles::Replace) => stale.push(self.path.join(name)),
             }
         }
-        let before = self
-            .recorded
-            .iter()
-            .flat_map(|(name, known)| known.iter().map(|digest| listing_line(name, digest)));
         let after: String = next
             .iter()
             .map(|(name, digest)| listing_line(name, digest))
             .collect();
         let announced = pending_listing(&self.path, listing);
-        disk::write(&announced, before.collect::<String>() + &after)?;
+        disk::write(&announced, self.recorded_lines() + &after)?;
         match after.is_empty() {
             true => stale.push(self.path.join(listing)),
             false => files.stage(&self.path.join(listing), after)?,
@@ -128,6 +132,13 @@ impl OutputFolder {
         // Removed last: until then the pending listing knows the stale files.
         stale.push(announced);
         Ok(disk::remove(&stale)?)
+    }
+
+    fn recorded_lines(&self) -> String {
+        self.recorded
+            .iter()
+            .flat_map(|(name, digests)| digests.iter().map(|digest| listing_line(name, digest)))
+            .collect()
     }
 
     /// Stages a file, and creates the folder if it is missing. A file with equal contents stays as it is.
@@ -142,26 +153,31 @@ impl OutputFolder {
             return Err(CliError::at(link, SYMLINK_PROBLEM));
         }
         path.parent().map_or(Ok(()), disk::make_folder)?;
-        let is_own = |digest: &str| {
-            self.force
-                || self
-                    .recorded
-                    .get(name)
-                    .is_some_and(|known| known.contains(digest))
-        };
         let advice = if self.listing.is_some() {
             CHANGED_FILE_PROBLEM
         } else {
             EXISTING_FILE_PROBLEM
         };
-        stage(files, &path, contents, is_own, advice)
+        stage(
+            files,
+            &path,
+            contents,
+            |digest| {
+                self.force
+                    || self
+                        .recorded
+                        .get(name)
+                        .is_some_and(|digests| digests.contains(digest))
+            },
+            advice,
+        )
     }
 
     /// Returns the digest of a file that crumple wrote and that has not changed since.
     fn unchanged_digest(&self, name: &str) -> Option<String> {
         let path = self.path.join(name);
         let is_plain = self.find_symlink(&path).is_none()
-            && fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+            && fs::symlink_metadata(&path).is_ok_and(|metadata| metadata.is_file());
         let digest = is_plain.then(|| file_digest(&path).ok()).flatten()?;
         self.recorded.get(name)?.contains(&digest).then_some(digest)
     }
@@ -207,22 +223,22 @@ pub(super) fn stage(
     is_own: impl FnOnce(&str) -> bool,
     otherwise: &str,
 ) -> Result<(), CliError> {
-    let refused = |problem: &str| Err(CliError::at(path, problem));
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
             return Ok(files.stage(path, contents)?);
         }
         Err(error) => return Err(DiskError::at(path)(error).into()),
-        Ok(found) if found.is_symlink() => return refused(SYMLINK_PROBLEM),
-        Ok(found) if !found.is_file() => {
-            return refused("is not a regular file: remove it, or use another name");
+        Ok(metadata) if metadata.is_symlink() => return Err(CliError::at(path, SYMLINK_PROBLEM)),
+        Ok(metadata) if !metadata.is_file() => {
+            let problem = "is not a regular file: remove it, or use another name";
+            return Err(CliError::at(path, problem));
         }
         Ok(_) => {}
     }
     match file_digest(path)? {
         digest if digest == sha256(contents) => Ok(()),
         digest if is_own(&digest) => Ok(files.stage(path, contents)?),
-        _ => refused(otherwise),
+        _ => Err(CliError::at(path, otherwise)),
     }
 }
 
@@ -240,7 +256,7 @@ fn listing_line(name: &str, digest: &str) -> String {
 fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Ok(found) if !found.is_file() => {
+        Ok(metadata) if !metadata.is_file() => {
             let problem = "is not a regular file, but crumple needs this name for its list of written files: remove \
                            it, or use another --out";
             return Err(CliError::at(path, problem));
@@ -248,25 +264,25 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
         _ => {}
     }
     let text = text_file::read(path)?;
-    let entry = |(index, line): (usize, &str)| {
-        // Reject names outside the folder.
-        let is_within = |name: &str| {
-            Path::new(name)
-                .components()
-                .all(|part| matches!(part, Component::Normal(_)))
-        };
-        let found = line
-            .split_once("  ")
-            .filter(|(digest, name)| digest.len() == 64 && is_within(name));
-        found
-            .map(|(digest, name)| (name.to_owned(), digest.to_owned()))
-            .ok_or_else(|| {
+    text.lines()
+        .enumerate()
+        .map(|(index, line)| {
+            parse_listing_line(line).ok_or_else(|| {
                 let problem =
                     "expected a SHA-256 and the name of a file in this folder: use another --out";
                 CliError::Input(format!("{}:{}: {problem}", path.display(), index + 1))
             })
-    };
-    text.lines().enumerate().map(entry).collect()
+        })
+        .collect()
+}
+
+/// Returns the name and the SHA-256 of a line; `None` for a name outside the folder.
+fn parse_listing_line(line: &str) -> Option<(String, String)> {
+    let (digest, name) = line.split_once("  ")?;
+    let is_within = Path::new(name)
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)));
+    (digest.len() == 64 && is_within).then(|| (name.to_owned(), digest.to_owned()))
 }
 
 fn file_digest(path: &Path) -> Result<String, DiskError> {

@@ -70,13 +70,13 @@ pub(super) fn read_bar(quiet: bool) -> (ProgressBar, ReadProgress) {
         quiet,
     );
     let shown = bar.clone();
-    let advance = move |read: u64, total: u64| {
+    let progress: ReadProgress = Arc::new(move |read: u64, total: u64| {
         if total >= MIN_BYTES {
             shown.set_length(total);
             shown.set_position(read);
         }
-    };
-    (bar, Arc::new(advance))
+    });
+    (bar, progress)
 }
 
 pub(super) fn replay_bar(quiet: bool) -> ProgressBar {

@@ -62,20 +62,20 @@ pub(super) const BUILT_IN_BOXES: [(&str, &str); 2] = [
     ("paper-2", include_str!("boxes/paper-2.toml")),
 ];
 
-fn load_box_text(place: &Path) -> Result<String, CliError> {
+fn load_box_text(path: &Path) -> Result<String, CliError> {
     let built_in = BUILT_IN_BOXES
         .iter()
-        .find(|(name, _)| Path::new(name) == place);
+        .find(|(name, _)| Path::new(name) == path);
     match built_in {
-        Some((_, text)) if !place.exists() => Ok((*text).to_owned()),
-        None if place.extension().is_none() && !place.exists() => {
-            let known = BUILT_IN_BOXES.map(|(name, _)| name).join(", ");
+        Some((_, text)) if !path.exists() => Ok((*text).to_owned()),
+        None if path.extension().is_none() && !path.exists() => {
+            let names = BUILT_IN_BOXES.map(|(name, _)| name).join(", ");
             Err(CliError::Input(format!(
-                "--box: `{}` is neither a built-in box ({known}) nor a file",
-                place.display()
+                "--box: `{}` is neither a built-in box ({names}) nor a file",
+                path.display()
             )))
         }
-        _ => Ok(text_file::read_at_most(place, text_file::MAX_TOML_BYTES)?),
+        _ => Ok(text_file::read_at_most(path, text_file::MAX_TOML_BYTES)?),
     }
 }
 
@@ -112,20 +112,20 @@ impl ReachCommand {
 
     /// Describes an error with the option or the line of the box that caused it.
     fn describe_refusal(&self, error: InvalidBox, text: &str) -> CliError {
-        let place = self.starts.display();
+        let file = self.starts.display();
         match error {
             InvalidBox::Field(invalid) => CliError::Input(format!(
-                "{place}:{}: {invalid}",
+                "{file}:{}: {invalid}",
                 text_file::line_in_toml(text, &invalid.field)
             )),
             InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
             InvalidBox::Mapping(invalid) => {
-                let place = self.controller.field_location(&invalid.field);
+                let field = self.controller.field_location(&invalid.field);
                 CliError::Input(format!(
-                    "--controller: {place}cannot be followed: {invalid}"
+                    "--controller: {field}cannot be followed: {invalid}"
                 ))
             }
-            other => CliError::Input(format!("{place}: {other}")),
+            other => CliError::Input(format!("{file}: {other}")),
         }
     }
 
@@ -155,10 +155,10 @@ pub(super) fn write_certificate(
     let text = serde_json::to_string_pretty(certificate).map_err(CliError::input)? + "\n";
     files.stage(&output::resolve_output_path(path)?, text.as_bytes())?;
     if let Some((name, _)) = certificate.policy_reference() {
-        let beside = path.parent().unwrap_or(Path::new("")).join(name);
+        let sibling = path.parent().unwrap_or(Path::new("")).join(name);
         let other =
             "is not the network of the certificate: move it, or write the certificate elsewhere";
-        stage(&mut files, &beside, network, |_| false, other)?;
+        stage(&mut files, &sibling, network, |_| false, other)?;
     }
     Ok(files.commit()?)
 }

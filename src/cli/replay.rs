@@ -137,11 +137,15 @@ impl ReplaySettings {
         replayed.hardest.add(&part);
         replayed.text = part.text.clone();
         let bar = progress::replay_bar(self.quiet);
-        let advance = |done_s: f64, total_s: f64| {
-            bar.set_length(total_s as u64);
-            bar.set_position(done_s as u64);
-        };
-        let drives = replay(&part, &self.options, self.min_brake_mps2, &advance);
+        let drives = replay(
+            &part,
+            &self.options,
+            self.min_brake_mps2,
+            &|done_s: f64, total_s: f64| {
+                bar.set_length(total_s as u64);
+                bar.set_position(done_s as u64);
+            },
+        );
         bar.finish_and_clear();
         replayed.drives.extend(drives?);
         Ok(())

@@ -1,7 +1,7 @@
 //! `crumple retrain`: retrains a policy on counterexamples of a search.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use clap::Args;
 
@@ -24,6 +24,7 @@ use crumple_learn::retrain::{
 use crumple_learn::rl::TrainingConfig;
 use crumple_search::falsify::Method;
 use crumple_sim::engine::NamedController;
+use crumple_sim::policy::Policy;
 
 const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 
@@ -125,72 +126,18 @@ pub(super) struct Retrain {
 
 impl Retrain {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
-        let GlobalOptions { quiet, controllers } = global;
-        let name = &self.policy.name;
-        let first = self
-            .policy
-            .policy()
-            .ok_or_else(|| CliError::Input(format!("--policy: `{name}` is no policy")))?;
-        let imitates = first.header().training.get("imitation").is_some();
-        let preset = self.preset.as_deref().unwrap_or(Path::new(if imitates {
+        let quiet = global.quiet;
+        let policy = self.policy.policy().ok_or_else(|| {
+            CliError::Input(format!("--policy: `{}` is no policy", self.policy.name))
+        })?;
+        let imitates = policy.header().training.get("imitation").is_some();
+        let default_preset = if imitates {
             "road"
         } else {
             RETRAIN_PRESET_NAMES[0]
-        }));
-        let training = load_training_config(preset, controllers)?;
-        let mut settings = DEFAULTS;
-        if self.episodes == Some(0) && training.imitation.is_none() {
-            return Err(CliError::Input(format!(
-                "--episodes: the preset `{}` has no imitation and needs at least 1",
-                preset.display()
-            )));
-        }
-        settings.episodes = self.episodes.unwrap_or(if training.imitation.is_some() {
-            training.episodes
-        } else {
-            settings.episodes
-        });
-        if !training.spaces.is_empty() {
-            // The spaces of the preset replace the paper's distribution.
-            settings.nominal_share = 0.0;
-        }
-        let mut spaces = self.space;
-        if spaces.is_empty() {
-            spaces.extend(training.spaces.iter().map(|space| space.space.clone()));
-        }
-        if spaces.is_empty() {
-            spaces.push("high-risk".to_owned());
-        }
-        let spaces = SearchedSpaces::new(load_spaces("--space", &spaces, controllers)?);
-        let spaces =
-            spaces.ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))?;
-        let regression_spaces = load_regression_spaces(&self.regression, controllers)?;
-        let regression = if regression_spaces.is_empty() {
-            0
-        } else {
-            self.regression_draws
         };
-        let plan = RetrainingPlan {
-            initial_policy: first,
-            initial_policy_name: name.clone(),
-            spaces,
-            attacked: load_attacked(&self.scenario, training.imitation.is_some(), global)?,
-            regression_spaces,
-            training,
-            method: self.method,
-            seed: self.seed,
-            settings: RetrainingSettings {
-                rounds: self.rounds,
-                budget: self.budget,
-                draws: self.draws,
-                validation_draws: self.validation_draws,
-                nominal: self.nominal,
-                regression,
-                test_draws: self.test_draws,
-                ..settings
-            },
-        };
-        let out = self.out.display();
+        let preset = self.preset.as_deref().unwrap_or(Path::new(default_preset));
+        let plan = self.plan(policy, preset, global)?;
         let study = study::open(&plan, &self.out, self.resume, quiet)
             .map_err(|error| with_preset_name(error, preset))?;
         let bar = progress::status_line(quiet);
@@ -199,21 +146,108 @@ impl Retrain {
             rounds: self.rounds,
             step: None,
         });
-        let show = |state: &RetrainingProgress| {
+        let report = study.run(&Listener(|state: &RetrainingProgress| {
             line.lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .show(state)
-        };
-        let report = study.run(&Listener(show));
+        }));
         bar.finish_and_clear();
         let report = report.map_err(|error| with_preset_name(error, preset))?;
         output::note(&report.ending_sentence(), quiet);
         output::note(
-            &format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"),
+            &format!(
+                "wrote {} (policy.safetensors, corpora, report.md, report.json)",
+                self.out.display()
+            ),
             quiet,
         );
         let printed = output::print_result(self.format, &report, || report.to_markdown());
         CliError::gate_first(check_accepted(&report), printed)
+    }
+
+    fn plan(
+        &self,
+        policy: Arc<Policy>,
+        preset: &Path,
+        global: GlobalOptions,
+    ) -> Result<RetrainingPlan, CliError> {
+        let controllers = global.controllers;
+        let training = load_training_config(preset, controllers)?;
+        let settings = self.settings(&training, preset)?;
+        let spaces = self.searched_spaces(&training, controllers)?;
+        let regression_spaces = load_regression_spaces(&self.regression, controllers)?;
+        let regression = if regression_spaces.is_empty() {
+            0
+        } else {
+            self.regression_draws
+        };
+        Ok(RetrainingPlan {
+            initial_policy: policy,
+            initial_policy_name: self.policy.name.clone(),
+            spaces,
+            attacked: load_attacked(&self.scenario, training.imitation.is_some(), global)?,
+            regression_spaces,
+            training,
+            method: self.method.clone(),
+            seed: self.seed,
+            settings: RetrainingSettings {
+                regression,
+                ..settings
+            },
+        })
+    }
+
+    /// Returns the settings, without the number of scenarios of each regression space.
+    fn settings(
+        &self,
+        training: &TrainingConfig,
+        preset: &Path,
+    ) -> Result<RetrainingSettings, CliError> {
+        let imitates = training.imitation.is_some();
+        if self.episodes == Some(0) && !imitates {
+            return Err(CliError::Input(format!(
+                "--episodes: the preset `{}` has no imitation and needs at least 1",
+                preset.display()
+            )));
+        }
+        let default_episodes = if imitates {
+            training.episodes
+        } else {
+            DEFAULTS.episodes
+        };
+        Ok(RetrainingSettings {
+            rounds: self.rounds,
+            episodes: self.episodes.unwrap_or(default_episodes),
+            budget: self.budget,
+            draws: self.draws,
+            validation_draws: self.validation_draws,
+            nominal: self.nominal,
+            test_draws: self.test_draws,
+            // The spaces of the preset replace the paper's distribution.
+            nominal_share: if training.spaces.is_empty() {
+                DEFAULTS.nominal_share
+            } else {
+                0.0
+            },
+            ..DEFAULTS
+        })
+    }
+
+    /// Loads the spaces of `--space`, by default those of the preset.
+    fn searched_spaces(
+        &self,
+        training: &TrainingConfig,
+        controllers: Controllers,
+    ) -> Result<SearchedSpaces, CliError> {
+        let mut names = self.space.clone();
+        if names.is_empty() {
+            names.extend(training.spaces.iter().map(|space| space.space.clone()));
+        }
+        if names.is_empty() {
+            names.push("high-risk".to_owned());
+        }
+        SearchedSpaces::new(load_spaces("--space", &names, controllers)?)
+            .ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))
     }
 }
 

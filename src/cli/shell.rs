@@ -145,12 +145,11 @@ impl NamedItems {
 /// Returns the commands for completion scripts: arguments have the built-in names as possible values.
 fn with_built_in_names(command: Command) -> Command {
     let name = command.get_name().to_owned();
-    let complete = |argument: Arg| match NamedItems::of_argument(&name, &argument) {
-        Some(items) => argument.value_parser(PossibleValuesParser::new(items.names())),
-        None => argument,
-    };
     command
-        .mut_args(complete)
+        .mut_args(|argument| match NamedItems::of_argument(&name, &argument) {
+            Some(items) => argument.value_parser(PossibleValuesParser::new(items.names())),
+            None => argument,
+        })
         .mut_subcommands(with_built_in_names)
 }
 

@@ -9,9 +9,7 @@ use crumple_controllers::find_built_in;
 use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
-use crumple_sim::scenario::{
-    Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file,
-};
+use crumple_sim::scenario::{VehicleClass, built_in_scenario, built_in_scenario_names, file};
 use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file};
 use crumple_suites::SHIPPED_SUITES;
 
@@ -64,47 +62,51 @@ impl BuiltInKind {
 
     /// Returns the name and the text of each built-in file of this kind.
     fn files(self) -> Result<Vec<(&'static str, String)>, CliError> {
-        let owned = |(name, text): (&'static str, &str)| (name, text.to_owned());
-        Ok(match self {
-            Self::Scenario => {
-                let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CliError::input);
-                let all = built_in_scenario_names()
-                    .into_iter()
-                    .filter_map(|(name, _)| Some((name, built_in_scenario(name)?)));
-                all.map(|(name, scenario)| Ok((name, text(&scenario)?)))
-                    .collect::<Result<_, CliError>>()?
-            }
-            Self::Space => {
-                let variant = |(name, ..): (&'static str, _, _)| {
-                    let text = built_in_space(name).map(|space| space_file::to_toml(&space));
-                    Ok((
-                        name,
-                        text.transpose()
-                            .map_err(CliError::input)?
-                            .unwrap_or_default(),
-                    ))
-                };
-                let shipped = BUILT_IN_SPACES
-                    .into_iter()
-                    .map(|(name, _, text)| Ok(owned((name, text))));
-                shipped
-                    .chain(HUMAN_SPACES.into_iter().map(variant))
-                    .collect::<Result<_, CliError>>()?
-            }
-            Self::Preset => PRESETS
+        match self {
+            Self::Scenario => built_in_scenario_names()
                 .into_iter()
-                .chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)])
-                .map(owned)
+                .filter_map(|(name, _)| Some((name, built_in_scenario(name)?)))
+                .map(|(name, scenario)| {
+                    Ok((name, file::to_toml(&scenario).map_err(CliError::input)?))
+                })
                 .collect(),
-            Self::Suite => SHIPPED_SUITES.map(owned).into(),
-            Self::Map => BUILT_IN_MAPS.map(owned).into(),
-            Self::Box => BUILT_IN_BOXES.map(owned).into(),
-            Self::VehicleClass => VehicleClass::ALL
+            Self::Space => {
+                let shipped = BUILT_IN_SPACES.map(|(name, _, text)| Ok((name, text.to_owned())));
+                let human = HUMAN_SPACES.map(|(name, ..)| Ok((name, space_toml(name)?)));
+                shipped.into_iter().chain(human).collect()
+            }
+            Self::Preset => Ok(owned(
+                PRESETS
+                    .into_iter()
+                    .chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)]),
+            )),
+            Self::Suite => Ok(owned(SHIPPED_SUITES)),
+            Self::Map => Ok(owned(BUILT_IN_MAPS)),
+            Self::Box => Ok(owned(BUILT_IN_BOXES)),
+            Self::VehicleClass => Ok(VehicleClass::ALL
                 .iter()
                 .map(|class| (class.name(), vehicle_class_toml(*class)))
-                .collect(),
-        })
+                .collect()),
+        }
     }
+}
+
+fn owned(
+    files: impl IntoIterator<Item = (&'static str, &'static str)>,
+) -> Vec<(&'static str, String)> {
+    files
+        .into_iter()
+        .map(|(name, text)| (name, text.to_owned()))
+        .collect()
+}
+
+/// Returns the file of a built-in space that is another one with changes.
+fn space_toml(name: &str) -> Result<String, CliError> {
+    Ok(built_in_space(name)
+        .map(|space| space_file::to_toml(&space))
+        .transpose()
+        .map_err(CliError::input)?
+        .unwrap_or_default())
 }
 
 /// Returns the names of all built-in files, each once.
@@ -136,13 +138,14 @@ fn vehicle_class_toml(class: VehicleClass) -> String {
 
 impl Show {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let (mut found, mut known) = (Vec::new(), Vec::new());
+        let mut matching = Vec::new();
+        let mut names_by_kind = Vec::new();
         for kind in BuiltInKind::value_variants() {
             if self.kind.is_none_or(|wanted| wanted == *kind) {
                 let files = kind.files()?;
                 let names: Vec<_> = files.iter().map(|(name, _)| *name).collect();
-                known.push(format!("{}: {}", kind.name(), names.join(", ")));
-                found.extend(
+                names_by_kind.push(format!("{}: {}", kind.name(), names.join(", ")));
+                matching.extend(
                     files
                         .into_iter()
                         .filter(|(name, _)| *name == self.name)
@@ -150,19 +153,8 @@ impl Show {
                 );
             }
         }
-        let Some(((first, text), others)) = found.split_first() else {
-            let problem = match find_built_in(&self.name) {
-                Some(_) => format!(
-                    "`{}` is a built-in controller, which has no file (see `crumple list`)",
-                    self.name
-                ),
-                None => format!(
-                    "there is no built-in file `{}`. Names: {}",
-                    self.name,
-                    known.join("; ")
-                ),
-            };
-            return Err(CliError::Input(problem));
+        let Some(((first, text), others)) = matching.split_first() else {
+            return Err(self.no_file_error(&names_by_kind));
         };
         for (other, _) in others {
             output::note(
@@ -174,5 +166,19 @@ impl Show {
             );
         }
         output::print(text)
+    }
+
+    fn no_file_error(&self, names_by_kind: &[String]) -> CliError {
+        CliError::Input(match find_built_in(&self.name) {
+            Some(_) => format!(
+                "`{}` is a built-in controller, which has no file (see `crumple list`)",
+                self.name
+            ),
+            None => format!(
+                "there is no built-in file `{}`. Names: {}",
+                self.name,
+                names_by_kind.join("; ")
+            ),
+        })
     }
 }

@@ -156,7 +156,7 @@ impl RenderedRun {
 
 fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
-        Ok(found) if found > 0.0 && found.is_finite() => Ok(found),
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
         Ok(_) => Err("must be a positive number of seconds".to_owned()),
         Err(_) => Err("must be a number of seconds".to_owned()),
     }
@@ -164,55 +164,19 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 
 impl Simulate {
     pub(super) fn run(mut self, global: GlobalOptions) -> Result<(), CliError> {
-        let GlobalOptions { quiet, controllers } = global;
+        let quiet = global.quiet;
         let has_folder = self.scenarios.iter().any(|path| is_folder(path));
         self.scenarios = list_scenario_files(self.scenarios)?;
-        if self.spec.is_empty()
-            && matches!(
-                self.expect,
-                Some(RunExpectation::Satisfied | RunExpectation::Violated)
-            )
-        {
-            return Err(CliError::Input(
-                "--expect: `satisfied` and `violated` need a --spec".to_owned(),
-            ));
-        }
-        // `*.toml` matches the recorded verdicts in folders of version 0.1.0.
-        let is_verdicts = |path: &Path| {
-            path.ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(path).is_ok()
-        };
-        let paths = self
-            .scenarios
-            .iter()
-            .filter(|path| self.scenarios.len() == 1 || !is_verdicts(path));
-        let scenarios = paths
-            .map(|path| self.load_scenario(path, controllers))
-            .collect::<Result<Vec<_>, _>>()?;
+        self.check_spec_expectation()?;
+        let scenarios = self.load_scenarios(global)?;
         if let Some(scenario) = scenarios.first() {
             self.spec
                 .iter()
                 .try_for_each(|text| args::parse_specification(text, scenario, quiet).map(drop))?;
         }
         self.note_other_controllers(quiet);
-        let options = self.run_options();
-        let prepare = |scenario: &Scenario| {
-            let failed = |error| CliError::Input(format!("{}: {error}", scenario.spec().name));
-            Run::new(scenario, options.clone()).map_err(failed)
-        };
-        let runs = scenarios
-            .iter()
-            .map(prepare)
-            .collect::<Result<Vec<_>, _>>()?;
-        for scenario in scenarios
-            .iter()
-            .filter(|scenario| !scenario.has_vehicle_under_test())
-        {
-            let name = &scenario.spec().name;
-            output::note(
-                &format!("note: {name} has no vehicle under test, so --controller has no effect"),
-                quiet,
-            );
-        }
+        let runs = self.runs(&scenarios)?;
+        note_unused_controller(&scenarios, quiet);
         let many = runs.len() > 1;
         let is_brief = has_folder && !self.details;
         // Unnecessary braking is computed from the trace.
@@ -235,6 +199,38 @@ impl Simulate {
         }
         let printed = output::print_coloured(self.format, &text);
         CliError::gate_first(self.check_expectation(&runs, &results), printed)
+    }
+
+    fn check_spec_expectation(&self) -> Result<(), CliError> {
+        let is_about_spec = matches!(
+            self.expect,
+            Some(RunExpectation::Satisfied | RunExpectation::Violated)
+        );
+        if self.spec.is_empty() && is_about_spec {
+            return Err(CliError::Input(
+                "--expect: `satisfied` and `violated` need a --spec".to_owned(),
+            ));
+        }
+        Ok(())
+    }
+
+    fn load_scenarios(&self, global: GlobalOptions) -> Result<Vec<Scenario>, CliError> {
+        self.scenarios
+            .iter()
+            .filter(|path| self.scenarios.len() == 1 || !is_verdict_record(path))
+            .map(|path| self.load_scenario(path, global.controllers))
+            .collect()
+    }
+
+    fn runs(&self, scenarios: &[Scenario]) -> Result<Vec<Run>, CliError> {
+        let options = self.run_options();
+        scenarios
+            .iter()
+            .map(|scenario| {
+                Run::new(scenario, options.clone())
+                    .map_err(|error| CliError::Input(format!("{}: {error}", scenario.spec().name)))
+            })
+            .collect()
     }
 
     /// Returns the total of several runs: for a folder in both formats, otherwise as text only.
@@ -270,16 +266,7 @@ impl Simulate {
         if let Some(trace) = &simulated.trace {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
-                let (scenario, controller) = (run.scenario(), &self.controller.name);
-                let mut figure = draw_motion(scenario, controller, trace, &simulated.impacts);
-                let parts = report
-                    .specifications
-                    .iter()
-                    .flat_map(|evaluated| &evaluated.parts);
-                let parts: Vec<_> = parts.map(|report| report.part.clone()).collect();
-                if !parts.is_empty() {
-                    figure = draw::add_robustness("motion", &figure, &parts, run.dt_s());
-                }
+                let figure = self.draw_run(run, trace, simulated, &report);
                 files.push((path_for_scenario(path, name), encode_figure(path, &figure)?));
             }
             if let Some(path) = &self.trace {
@@ -297,6 +284,33 @@ impl Simulate {
             collided: !simulated.impacts.is_empty(),
             findings: RunFindings::new(&report),
         })
+    }
+
+    /// Draws the motion, and the robustness of the specifications if there are any.
+    fn draw_run(
+        &self,
+        run: &Run,
+        trace: &Trace,
+        simulated: &SimulationResult,
+        report: &RunReport,
+    ) -> Svg {
+        let figure = draw_motion(
+            run.scenario(),
+            &self.controller.name,
+            trace,
+            &simulated.impacts,
+        );
+        let parts: Vec<_> = report
+            .specifications
+            .iter()
+            .flat_map(|evaluated| &evaluated.parts)
+            .map(|report| report.part.clone())
+            .collect();
+        if parts.is_empty() {
+            figure
+        } else {
+            draw::add_robustness("motion", &figure, &parts, run.dt_s())
+        }
     }
 
     /// Notes which scenario files are recorded with other controllers than the present one.
@@ -317,11 +331,12 @@ impl Simulate {
                 .map(|verdict| verdict.controller.as_str())
                 .collect();
             if !others.contains(&self.controller.name.as_str()) {
-                let (own, others) = (&self.controller.name, others.join("` and `"));
                 output::note(
                     &format!(
-                        "note: {} was recorded with `{others}`, but is simulated with `{own}`",
-                        path.display()
+                        "note: {} was recorded with `{}`, but is simulated with `{}`",
+                        path.display(),
+                        others.join("` and `"),
+                        self.controller.name
                     ),
                     quiet,
                 );
@@ -406,11 +421,11 @@ fn list_scenario_files(paths: Vec<PathBuf>) -> Result<Vec<PathBuf>, CliError> {
             files.push(path);
             continue;
         }
-        let found = file::list(&path)?;
-        if found.is_empty() {
+        let listed = file::list(&path)?;
+        if listed.is_empty() {
             return Err(CliError::at(&path, "the folder has no scenario file"));
         }
-        files.extend(found);
+        files.extend(listed);
     }
     Ok(files)
 }
@@ -451,14 +466,32 @@ pub(super) fn path_ending_in(
     extensions: [&'static str; 2],
 ) -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(move |path| {
-        let [one, other] = extensions;
+        let [first, second] = extensions;
         match extension(&path) {
-            Some(found) if extensions.contains(&found) => {
-                feature::require_format(found).map(|()| path)
+            Some(extension) if extensions.contains(&extension) => {
+                feature::require_format(extension).map(|()| path)
             }
-            _ => Err(format!("must end in .{one} or .{other}")),
+            _ => Err(format!("must end in .{first} or .{second}")),
         }
     })
+}
+
+/// Returns true for recorded verdicts, which `*.toml` matches in folders of version 0.1.0.
+fn is_verdict_record(path: &Path) -> bool {
+    path.ends_with(file::LEGACY_EXPECTED_FILE_NAME) && ExpectedFile::load(path).is_ok()
+}
+
+fn note_unused_controller(scenarios: &[Scenario], quiet: bool) {
+    for scenario in scenarios
+        .iter()
+        .filter(|scenario| !scenario.has_vehicle_under_test())
+    {
+        let name = &scenario.spec().name;
+        output::note(
+            &format!("note: {name} has no vehicle under test, so --controller has no effect"),
+            quiet,
+        );
+    }
 }
 
 fn extension(path: &Path) -> Option<&str> {

@@ -102,13 +102,12 @@ impl SuiteTable {
             self.controllers
         };
         check_unique_names(&controllers)?;
-        let run = |(name, _): &(&str, &str)| {
-            run(&find_suite(Path::new(name))?, &controllers, self.estimator)
-                .map_err(CliError::input)
-        };
         let results = SHIPPED_SUITES
             .iter()
-            .map(run)
+            .map(|(name, _)| {
+                run(&find_suite(Path::new(name))?, &controllers, self.estimator)
+                    .map_err(CliError::input)
+            })
             .collect::<Result<Vec<_>, CliError>>()?;
         match self.format {
             OutputFormat::Json => results.iter().try_for_each(output::print_json),
@@ -125,7 +124,7 @@ fn check_unique_names(controllers: &[NamedController]) -> Result<(), CliError> {
     };
     match names()
         .enumerate()
-        .find(|(place, name)| names().take(*place).any(|before| before == *name))
+        .find(|(index, name)| names().take(*index).any(|before| before == *name))
     {
         Some((_, name)) => Err(CliError::Input(format!(
             "--controller: `{name}` is named twice"
@@ -182,11 +181,11 @@ fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
         return Ok(suite?);
     }
     if path.extension().is_none() && !path.exists() {
-        let known: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
+        let names: Vec<_> = SHIPPED_SUITES.iter().map(|(name, _)| *name).collect();
         return Err(CliError::Input(format!(
             "`{}` is neither a suite ({}) nor a file",
             path.display(),
-            known.join(", ")
+            names.join(", ")
         )));
     }
     Ok(TestSuite::load(path)?)
@@ -238,12 +237,13 @@ fn render(
     out: Option<&Path>,
     format: SuiteFormat,
 ) -> Result<String, CliError> {
-    let replay = |failed: &FailedPoint, tested: &ControllerResult| {
-        failed.replay_command(out?, &tested.controller, result.estimator)
-    };
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
-        SuiteFormat::Text => suite::render_text(result, replay),
+        SuiteFormat::Text => {
+            suite::render_text(result, |failed: &FailedPoint, tested: &ControllerResult| {
+                failed.replay_command(out?, &tested.controller, result.estimator)
+            })
+        }
     })
 }

@@ -8,7 +8,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{CliError, output};
 use crumple_sim::scenario::file;
 use crumple_store::disk::DiskError;
-use crumple_suites::{ControllerResult, FailedPoint, SuiteResult};
+use crumple_suites::{ControllerResult, SuiteResult};
 
 /// Opens the folder, and reads the listing of an earlier run. Its extension keeps it from being read as a scenario.
 pub(super) fn open(folder: &Path) -> Result<OutputFolder, CliError> {
@@ -18,13 +18,12 @@ pub(super) fn open(folder: &Path) -> Result<OutputFolder, CliError> {
 /// Writes the scenario of every failed point once, replaces those of the previous run, and lists the files that stay.
 pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<(), CliError> {
     let tested = result.tests().flat_map(|(_, test)| &test.controllers);
-    let text = |one: &FailedPoint| {
-        let text = file::to_toml(&one.scenario).map_err(CliError::input)?;
-        Ok((format!("{}.toml", one.scenario_name), text.into_bytes()))
-    };
     let failed = tested
         .flat_map(ControllerResult::failures)
-        .map(text)
+        .map(|point| {
+            let text = file::to_toml(&point.scenario).map_err(CliError::input)?;
+            Ok((format!("{}.toml", point.scenario_name), text.into_bytes()))
+        })
         .collect::<Result<BTreeMap<_, _>, CliError>>()?;
     let failed: Vec<_> = failed.into_iter().collect();
     open(folder)?.write(&failed, EarlierFiles::Replace)?;

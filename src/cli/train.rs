@@ -166,9 +166,10 @@ impl Train {
         quiet: bool,
     ) -> Result<(), CliError> {
         read_finished_trainings(&self.out, config, held_out)?;
-        let check = || results_folder(&self.out)?.check(&RESULT_FILES);
         // Another training with the same --out may be writing them.
-        check().or_else(|_| run_folder::with_folder_lock(&self.out, check))?;
+        check_results_folder(&self.out).or_else(|_| {
+            run_folder::with_folder_lock(&self.out, || check_results_folder(&self.out))
+        })?;
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         refuse_other_work(&self.out)?;
         // Seeds may be added to existing ones; without any, a misspelt --out is likely.
@@ -258,13 +259,12 @@ impl Train {
         let earlier_episodes = study.state().map(SeedTrainingState::episode);
         bar.inc(earlier_episodes.unwrap_or(0));
         let shown = Mutex::new(SeedProgress::new(training.seed, bar));
-        let show = |event: &TrainingEvent| {
+        let result = study.run(&Listener(|event: &TrainingEvent| {
             shown
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .update(event)
-        };
-        let result = study.run(&Listener(show))?;
+        }))?;
         // A finished training shows no episodes.
         let shown_episodes = earlier_episodes.map_or(0, |_| result.episodes);
         bar.inc(training.config.episodes.saturating_sub(shown_episodes));
@@ -283,6 +283,10 @@ fn refuse_other_work(out: &Path) -> Result<(), CliError> {
         ));
     }
     Ok(())
+}
+
+fn check_results_folder(out: &Path) -> Result<(), CliError> {
+    results_folder(out)?.check(&RESULT_FILES)
 }
 
 fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
@@ -378,12 +382,9 @@ impl<'a> SeedProgress<'a> {
             }
             TrainingEvent::Imitation(done) => {
                 // A round fits all rows so far, so its time is about proportional to its number.
-                let work = |rounds: u32| 0.5 * f64::from(rounds) * (f64::from(rounds) + 1.0);
-                let left = progress::format_time_left(
-                    self.begin.elapsed(),
-                    work(done.round),
-                    work(done.rounds),
-                );
+                let [work_done, work] = [done.round, done.rounds]
+                    .map(|rounds| 0.5 * f64::from(rounds) * (f64::from(rounds) + 1.0));
+                let left = progress::format_time_left(self.begin.elapsed(), work_done, work);
                 self.bar.set_message(format!(
                     "seed {} imitation {} of {}, {} decisions, {:.1} % of the drives collided{left}",
                     self.seed,

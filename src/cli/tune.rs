@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, progress, study, value_enums};
+use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 use crumple_learn::tune::{
     SettingRequest, SettingSearch, TuneError, TuningConfig, TuningObjective, TuningPlan,
@@ -144,14 +145,37 @@ fn with_option(error: TuneError) -> CliError {
 impl Tune {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
+        let plan = self.plan(controllers)?;
+        let out = self.out.display();
+        let study = study::open(&plan, &self.out, self.resume, quiet).map_err(with_option)?;
+        let bar = progress::campaign_bar(0, quiet);
+        let report = study.run(&Listener(|state: &TuningProgress| {
+            bar.set_length(state.total);
+            bar.set_position(state.done);
+            bar.set_message(format!(
+                "{} candidates, best objective {:.4};",
+                state.candidates, state.best
+            ));
+        }));
+        bar.finish_and_clear();
+        let report = report.map_err(with_option)?;
+        output::note(
+            &format!("wrote {out} (candidates.jsonl, report.md, report.json)"),
+            quiet,
+        );
+        output::print_result(self.format, &report, || report.to_markdown())
+    }
+
+    fn plan(&self, controllers: Controllers) -> Result<TuningPlan, CliError> {
         let mut spaces = Vec::new();
-        for (name, weight) in self.space {
-            let space = args::load_space("--space", &name, controllers)?;
-            spaces.push(TuningSpace { space, weight });
+        for (name, weight) in &self.space {
+            spaces.push(TuningSpace {
+                space: args::load_space("--space", name, controllers)?,
+                weight: *weight,
+            });
         }
-        let search = SettingSearch::parse(&self.controller, &self.setting).map_err(with_option)?;
-        let plan = TuningPlan {
-            search,
+        Ok(TuningPlan {
+            search: SettingSearch::parse(&self.controller, &self.setting).map_err(with_option)?,
             spaces,
             config: TuningConfig {
                 objective: self.objective,
@@ -165,25 +189,6 @@ impl Tune {
                 test_runs: self.test_runs,
                 estimator: self.estimator,
             },
-        };
-        let out = self.out.display();
-        let study = study::open(&plan, &self.out, self.resume, quiet).map_err(with_option)?;
-        let bar = progress::campaign_bar(0, quiet);
-        let show = |state: &TuningProgress| {
-            bar.set_length(state.total);
-            bar.set_position(state.done);
-            bar.set_message(format!(
-                "{} candidates, best objective {:.4};",
-                state.candidates, state.best
-            ));
-        };
-        let report = study.run(&Listener(show));
-        bar.finish_and_clear();
-        let report = report.map_err(with_option)?;
-        output::note(
-            &format!("wrote {out} (candidates.jsonl, report.md, report.json)"),
-            quiet,
-        );
-        output::print_result(self.format, &report, || report.to_markdown())
+        })
     }
 }

@@ -10,19 +10,22 @@ pub(super) fn rfc_3339(time: SystemTime) -> String {
     let seconds = time
         .duration_since(UNIX_EPOCH)
         .map_or(0, |since| since.as_secs());
-    let (days, second) = (seconds / 86_400 + 719_468, seconds % 86_400);
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
+    let days = seconds / 86_400 + 719_468;
+    let second = seconds % 86_400;
+    let era = days / 146_097;
+    let day_of_era = days % 146_097;
     let year_of_era =
         (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
     let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
     let from_march = (5 * day_of_year + 2) / 153;
     let day = day_of_year - (153 * from_march + 2) / 5 + 1;
-    let (month, is_next_year) = if from_march < 10 {
-        (from_march + 3, 0)
+    let is_next_year = from_march >= 10;
+    let month = if is_next_year {
+        from_march - 9
     } else {
-        (from_march - 9, 1)
+        from_march + 3
     };
-    let year = 400 * era + year_of_era + is_next_year;
+    let year = 400 * era + year_of_era + u64::from(is_next_year);
     format!(
         "{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z",
         second / 3600,
@@ -38,7 +41,7 @@ mod tests {
 
     /// Expected values by `date -u -d @SECONDS`.
     #[test]
-    fn times_are_those_of_the_calendar() {
+    fn time_stamps_agree_with_the_calendar() {
         for (seconds, expected) in [
             (0, "1970-01-01T00:00:00Z"),
             (951_782_399, "2000-02-28T23:59:59Z"),

@@ -6,7 +6,6 @@ use super::global_options::GlobalOptions;
 use clap::{Args, Subcommand};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
-use crumple_verify::Certificate;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
@@ -149,30 +148,26 @@ impl Verify {
 
 impl ShieldCommand {
     fn run(self) -> Result<(), CliError> {
-        let (mut text, kernels) = (String::new(), shipped_kernels());
-        let file = |name: &str| format!("{name}.json");
-        let contents = |(name, certificate): &(String, Certificate)| {
-            let text = serde_json::to_string_pretty(certificate).map_err(CliError::input)? + "\n";
-            Ok((file(name), text.into_bytes()))
-        };
-        let mut all = Vec::new();
+        let mut text = String::new();
+        let mut reports = Vec::new();
+        let mut files = Vec::new();
+        let kernels = shipped_kernels();
         for (name, certificate) in &kernels {
+            let file = format!("{name}.json");
             let report = CertificateReport::new(
-                self.out.join(file(name)).display().to_string(),
+                self.out.join(&file).display().to_string(),
                 certificate,
                 Controllers::default(),
             );
             text += &verdict_line(&report)?;
-            all.push(report);
+            reports.push(report);
+            let contents = serde_json::to_string_pretty(certificate).map_err(CliError::input)?;
+            files.push((file, (contents + "\n").into_bytes()));
         }
-        let contents = kernels
-            .iter()
-            .map(contents)
-            .collect::<Result<Vec<_>, CliError>>()?;
         OutputFolder::with_listing(&self.out, "shield.sha256")?
-            .write(&contents, EarlierFiles::Replace)?;
+            .write(&files, EarlierFiles::Replace)?;
         match self.format {
-            OutputFormat::Json => output::print(&report_json(&all).map_err(CliError::input)?),
+            OutputFormat::Json => output::print(&report_json(&reports).map_err(CliError::input)?),
             OutputFormat::Text => output::print_coloured(OutputFormat::Text, &text),
         }
     }
@@ -183,35 +178,10 @@ impl RateCommand {
         let GlobalOptions { quiet, controllers } = global;
         let space = args::load_space("--space", &self.space, controllers)?;
         self.check_resampling(&space)?;
-        let runs = match (self.runs, self.rate_below) {
-            (Some(runs), _) => runs,
-            (None, Some(rate)) => required_runs(rate, self.confidence, self.failures.unwrap_or(0))
-                .map_err(|error| {
-                    let option = if let SampleSizeError::Confidence { .. } = error {
-                        "--"
-                    } else {
-                        "--rate-below: "
-                    };
-                    CliError::Input(format!("{option}{error}"))
-                })?,
-            (None, None) => return self.estimate(space, quiet),
+        let Some(runs) = self.requested_runs()? else {
+            return self.estimate(space, quiet);
         };
-        // clap requires no option that conflicts with a given one, and `--rare` conflicts with `--runs`.
-        let of_rare = [
-            ("--spec", self.spec.is_some()),
-            ("--samples", self.samples.is_some()),
-            ("--repetitions", self.repetitions.is_some()),
-        ];
-        if let Some((name, _)) = of_rare.iter().find(|(_, is_given)| *is_given) {
-            return Err(CliError::Input(format!(
-                "{name}: requires --rare; a count only distinguishes runs with and without a collision"
-            )));
-        }
-        if self.failures.is_some() && self.rate_below.is_none() {
-            return Err(CliError::Input(
-                "--failures: requires --rate-below".to_owned(),
-            ));
-        }
+        self.check_options_of_count()?;
         let out = self.out;
         let plan = RatePlan::new(RateConfig {
             second_controller: self.against,
@@ -249,6 +219,45 @@ impl RateCommand {
         });
         let report = report.with_exposure(exposed.map_err(CliError::input)?);
         output::print_result(self.format, &report, || report.to_text())
+    }
+
+    /// Returns the number of runs to count, or `None` if the rate is to be estimated by splitting.
+    fn requested_runs(&self) -> Result<Option<u64>, CliError> {
+        match (self.runs, self.rate_below) {
+            (Some(runs), _) => Ok(Some(runs)),
+            (None, Some(rate)) => required_runs(rate, self.confidence, self.failures.unwrap_or(0))
+                .map(Some)
+                .map_err(|error| {
+                    let option = if let SampleSizeError::Confidence { .. } = error {
+                        "--"
+                    } else {
+                        "--rate-below: "
+                    };
+                    CliError::Input(format!("{option}{error}"))
+                }),
+            (None, None) => Ok(None),
+        }
+    }
+
+    /// Refuses options that do not apply to a count. clap requires no option that conflicts with a given one, and
+    /// `--rare` conflicts with `--runs`.
+    fn check_options_of_count(&self) -> Result<(), CliError> {
+        let of_rare = [
+            ("--spec", self.spec.is_some()),
+            ("--samples", self.samples.is_some()),
+            ("--repetitions", self.repetitions.is_some()),
+        ];
+        if let Some((name, _)) = of_rare.iter().find(|(_, is_given)| *is_given) {
+            return Err(CliError::Input(format!(
+                "{name}: requires --rare; a count only distinguishes runs with and without a collision"
+            )));
+        }
+        if self.failures.is_some() && self.rate_below.is_none() {
+            return Err(CliError::Input(
+                "--failures: requires --rate-below".to_owned(),
+            ));
+        }
+        Ok(())
     }
 
     fn estimate(self, space: ScenarioSpace, quiet: bool) -> Result<(), CliError> {

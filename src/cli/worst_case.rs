@@ -15,6 +15,7 @@ use crumple_search::worst_case::{
 };
 use crumple_sim::engine::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::Scenario;
 use crumple_store::disk::StagedFiles;
 
 /// Find the mildest braking of the leader, or sensor fault, that makes a controller fail
@@ -98,6 +99,40 @@ impl WorstCase {
 
     fn attack_sensors(&self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
+        self.check_options_of_sensors()?;
+        let scenario = args::load_scenario(&self.scenario, controllers)?;
+        if !scenario.has_vehicle_under_test() {
+            return Err(CliError::at(&self.scenario, "no vehicle is under test"));
+        }
+        let options =
+            RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
+        let bar = progress::run_bar("searching", max_sensor_simulations(), quiet);
+        let result = progress::show(&bar, |observer| {
+            attack_sensors(&scenario, &options, observer)
+        })
+        .map_err(|error| CliError::at(&self.scenario, error))?;
+        self.controller.ensure_trusted()?;
+        let name = &scenario.spec().name;
+        let report = SensorAttackReport::new(name, &self.controller.name, &result);
+        match report.mildest() {
+            Some(fault) => {
+                let faulty = scenario.edited(|spec| {
+                    spec.name =
+                        format!("{}-fault", spec.name.chars().take(190).collect::<String>());
+                    spec.sensors.faults = fault.faults.clone();
+                });
+                self.write_finding(&faulty.map_err(CliError::input)?, options)?;
+            }
+            None => self
+                .finding
+                .note_nothing_to_write("no fault was found, so there is nothing", quiet),
+        }
+        self.finding
+            .print_report(&report, SensorAttackReport::to_text)
+    }
+
+    /// Refuses options that do not apply to an attack on the sensors.
+    fn check_options_of_sensors(&self) -> Result<(), CliError> {
         let given = [
             ("--aim", self.aim.is_some()),
             ("--max-brake", self.max_brake.is_some()),
@@ -114,45 +149,20 @@ impl WorstCase {
                 "--estimator: `truth` ignores faults of sensors, so use `kalman`".to_owned(),
             ));
         }
-        let scenario = args::load_scenario(&self.scenario, controllers)?;
-        if !scenario.has_vehicle_under_test() {
-            return Err(CliError::at(&self.scenario, "no vehicle is under test"));
-        }
-        let options =
-            RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
-        let bar = progress::run_bar("searching", max_sensor_simulations(), quiet);
-        let result = progress::show(&bar, |observer| {
-            attack_sensors(&scenario, &options, observer)
-        })
-        .map_err(|error| CliError::at(&self.scenario, error))?;
-        self.controller.ensure_trusted()?;
-        let name = &scenario.spec().name;
-        let report = SensorAttackReport::new(name, &self.controller.name, &result);
+        Ok(())
+    }
+
+    /// Writes the files of a scenario that the attack found.
+    fn write_finding(&self, scenario: &Scenario, options: RunOptions) -> Result<(), CliError> {
         let mut files = StagedFiles::default();
-        match report.mildest() {
-            Some(fault) => {
-                let faulty = scenario.edited(|spec| {
-                    spec.name =
-                        format!("{}-fault", spec.name.chars().take(190).collect::<String>());
-                    spec.sensors.faults = fault.faults.clone();
-                });
-                let faulty = faulty.map_err(CliError::input)?;
-                let replay = || {
-                    Ok(simulate(
-                        &Run::new(&faulty, options)?,
-                        RecordingLevel::Trace,
-                    ))
-                };
-                self.finding
-                    .stage(&faulty, &self.controller.name, &mut files, replay)?;
-            }
-            None => self
-                .finding
-                .note_nothing_to_write("no fault was found, so there is nothing", quiet),
-        }
-        files.commit()?;
         self.finding
-            .print_report(&report, SensorAttackReport::to_text)
+            .stage(scenario, &self.controller.name, &mut files, || {
+                Ok(simulate(
+                    &Run::new(scenario, options)?,
+                    RecordingLevel::Trace,
+                ))
+            })?;
+        Ok(files.commit()?)
     }
 
     fn attack_by_braking(&self, global: GlobalOptions) -> Result<(), CliError> {
@@ -176,31 +186,20 @@ impl WorstCase {
             RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator);
         let result = attack(&scenario, &options, aim, envelope, budget, &Quiet);
         let result = result.map_err(|error| {
-            let place = match error {
+            let option = match error {
                 AttackError::EmptyEnvelope { .. } => Path::new("--max-brake"),
                 AttackError::TooManySimulations { .. } => Path::new("--budget"),
                 _ => &self.scenario,
             };
-            CliError::at(place, error)
+            CliError::at(option, error)
         })?;
         self.controller.ensure_trusted()?;
-        let mut files = StagedFiles::default();
         match &result.attack {
-            Some(attack) => {
-                let replay = || {
-                    Ok(simulate(
-                        &Run::new(&attack.scenario, options)?,
-                        RecordingLevel::Trace,
-                    ))
-                };
-                self.finding
-                    .stage(&attack.scenario, &self.controller.name, &mut files, replay)?;
-            }
+            Some(attack) => self.write_finding(&attack.scenario, options)?,
             None => self
                 .finding
                 .note_nothing_to_write("no collision was found, so there is nothing", quiet),
         }
-        files.commit()?;
         let name = &scenario.spec().name;
         let report =
             AttackReport::new(name, &self.controller, self.estimator, aim, budget, &result);

@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assumption::Assumption;
 use crate::bounded;
-use crate::claim::{ConstantPiece, MAX_EGOS, Scene};
+use crate::claim::{ConstantPiece, MAX_EGOS, Scene, SceneFollower};
 use crate::interval::Interval;
 use crate::motion::{distance_and_speed_after, expand_pieces};
 use crate::rejection::Rejection;
@@ -125,13 +125,16 @@ impl Claim for AvoidableClaim {
             self.scene.instant_count() * self.scene.vehicle_count() * OPS_PER_STEP,
         )?;
         check_profiles(self)?;
-        let (smallest_gap_m, afterwards) = replay(self)?;
+        let EscapeReplay {
+            smallest_gap_m,
+            after_horizon,
+        } = replay(self)?;
         let stated_m = self.min_gap_m_at_least.unwrap_or(0.0);
         if smallest_gap_m >= stated_m {
             Ok(ProvedClaim::Avoidable {
                 min_gap_m: smallest_gap_m,
                 horizon_s: self.scene.horizon_s(),
-                after_horizon: afterwards,
+                after_horizon,
             })
         } else {
             Err(Rejection::GapTooSmall {
@@ -151,8 +154,8 @@ fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Res
     }
     for (index, (profile, ego)) in witness.iter().zip(&scene.egos).enumerate() {
         scene.check_profile_length(profile, || format!("witness[{index}]"))?;
-        let is_able = |a: f64| -ego.max_brake_mps2 <= a && a <= ego.max_accel_mps2;
-        if let Some(piece) = profile.iter().position(|held| !is_able(held.1)) {
+        let limits = -ego.max_brake_mps2..=ego.max_accel_mps2;
+        if let Some(piece) = profile.iter().position(|piece| !limits.contains(&piece.1)) {
             return Err(Rejection::invalid(
                 format!("witness[{index}][{piece}]"),
                 "exceeds the limits of the ego vehicle",
@@ -162,10 +165,16 @@ fn check_profiles(AvoidableClaim { scene, witness, .. }: &AvoidableClaim) -> Res
     Ok(())
 }
 
-/// Returns a lower bound of all gaps at all times, in metres, and the safety after the last instant.
+/// Result of the simulation of an escape.
+struct EscapeReplay {
+    /// Lower bound of all gaps at all times, in metres.
+    smallest_gap_m: f64,
+    after_horizon: SafetyAfterHorizon,
+}
+
 fn replay(
     AvoidableClaim { scene, witness, .. }: &AvoidableClaim,
-) -> Result<(f64, SafetyAfterHorizon), Rejection> {
+) -> Result<EscapeReplay, Rejection> {
     let profiles: Vec<Vec<Interval>> =
         std::iter::once(expand_pieces(&scene.leader.acceleration_mps2).collect())
             .chain(
@@ -181,7 +190,7 @@ fn replay(
     let step_s = Interval::point(scene.step_s);
     let eighth = step_s.sqr() * Interval::point(0.125);
     let mut fires = scene.steps;
-    let mut smallest_m = f64::INFINITY;
+    let mut smallest_gap_m = f64::INFINITY;
     let mut before = gaps_m(scene, &line, fires, 0);
     for k in 0..scene.steps {
         if fires == scene.steps && must_fire(scene, &line, k) {
@@ -196,13 +205,11 @@ fn replay(
         accelerations.extend(scene.follower.as_ref().map(|follower| -follower.brake_mps2));
         let now = gaps_m(scene, &line, fires, k + 1);
         for (front, (begin, end)) in before.iter().zip(&now).enumerate() {
-            let (ahead, behind) = (
-                accelerations[front].max(Interval::ZERO),
-                accelerations[front + 1].min(Interval::ZERO),
-            );
+            let ahead = accelerations[front].max(Interval::ZERO);
+            let behind = accelerations[front + 1].min(Interval::ZERO);
             let gap_m = (begin.min(*end) - (ahead - behind) * eighth).low();
             if gap_m > 0.0 {
-                smallest_m = smallest_m.min(gap_m);
+                smallest_gap_m = smallest_gap_m.min(gap_m);
             } else {
                 return Err(Rejection::MayCollide {
                     front_vehicle: front,
@@ -213,10 +220,10 @@ fn replay(
         }
         before = now;
     }
-    Ok((
-        smallest_m,
-        safety_after_horizon(scene, &line, fires, &before),
-    ))
+    Ok(EscapeReplay {
+        smallest_gap_m,
+        after_horizon: safety_after_horizon(scene, &line, fires, &before),
+    })
 }
 
 fn safety_after_horizon(
@@ -231,37 +238,60 @@ fn safety_after_horizon(
             .map(|(_, v)| v.low())
             .fold(f64::INFINITY, f64::min),
     );
-    let followed = scene.follower.as_ref().map(|follower| {
-        let brakes =
-            fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
-        let brake_mps2 = if brakes {
-            follower.brake_mps2
-        } else {
-            Interval::ZERO
-        };
-        (
-            scene.follower_speed_mps(follower, fires, scene.steps),
-            brake_mps2,
-        )
-    });
+    let follower = scene
+        .follower
+        .as_ref()
+        .map(|follower| RearVehicle::from_follower(scene, follower, fires));
     let egos = scene.egos.iter().zip(line.iter().skip(1));
-    let behind = egos
-        .map(|(ego, (_, v))| (*v, Interval::point(ego.max_brake_mps2)))
-        .chain(followed);
-    let behind: Vec<_> = behind.zip(gaps_m).collect();
-    let keep_off = |to_mps: Interval| {
-        behind.iter().all(|&((v, brake_mps2), &gap_m)| {
-            let too_fast_mps = v - to_mps;
-            let covered_m = too_fast_mps.sqr().over(brake_mps2 + brake_mps2);
-            too_fast_mps.high() <= 0.0 || (covered_m - gap_m).high() < 0.0
+    let behind: Vec<_> = egos
+        .map(|(ego, (_, v))| RearVehicle {
+            speed_mps: *v,
+            brake_mps2: Interval::point(ego.max_brake_mps2),
         })
-    };
-    if keep_off(Interval::ZERO) {
+        .chain(follower)
+        .zip(gaps_m)
+        .collect();
+    if behind
+        .iter()
+        .all(|(vehicle, gap_m)| vehicle.can_keep_gap(**gap_m, Interval::ZERO))
+    {
         SafetyAfterHorizon::ForAnyLeader
-    } else if keep_off(slowest) {
+    } else if behind
+        .iter()
+        .all(|(vehicle, gap_m)| vehicle.can_keep_gap(**gap_m, slowest))
+    {
         SafetyAfterHorizon::UnlessLeaderBrakes
     } else {
         SafetyAfterHorizon::Unproved
+    }
+}
+
+/// A vehicle behind another one, after the last instant.
+struct RearVehicle {
+    speed_mps: Interval,
+    brake_mps2: Interval,
+}
+
+impl RearVehicle {
+    /// Creates the follower, which brakes only if its brake has fired and its reaction is over.
+    fn from_follower(scene: &Scene, follower: &SceneFollower, fires: u32) -> Self {
+        let brakes =
+            fires < scene.steps && fires.saturating_add(follower.reaction_steps) <= scene.steps;
+        Self {
+            speed_mps: scene.follower_speed_mps(follower, fires, scene.steps),
+            brake_mps2: if brakes {
+                follower.brake_mps2
+            } else {
+                Interval::ZERO
+            },
+        }
+    }
+
+    /// True if it slows to `to_mps` before it has closed a gap by braking.
+    fn can_keep_gap(&self, gap_m: Interval, to_mps: Interval) -> bool {
+        let too_fast_mps = self.speed_mps - to_mps;
+        let covered_m = too_fast_mps.sqr().over(self.brake_mps2 + self.brake_mps2);
+        too_fast_mps.high() <= 0.0 || (covered_m - gap_m).high() < 0.0
     }
 }
 

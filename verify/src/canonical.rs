@@ -14,13 +14,14 @@ use sha2::{Digest, Sha256};
 /// whitespace.
 pub(crate) fn first_difference(text: &str, canonical: &str) -> Option<(usize, usize)> {
     let mut expected = canonical.bytes();
-    let (mut in_string, mut escaped) = (false, false);
-    for (place, byte) in text.bytes().enumerate() {
+    let mut in_string = false;
+    let mut escaped = false;
+    for (offset, byte) in text.bytes().enumerate() {
         if !in_string && matches!(byte, b' ' | b'\t' | b'\n' | b'\r') {
             continue;
         }
         if expected.next() != Some(byte) {
-            return Some(line_and_column(text, place));
+            return Some(line_and_column(text, offset));
         }
         in_string = if byte == b'"' && !escaped {
             !in_string
@@ -32,15 +33,15 @@ pub(crate) fn first_difference(text: &str, canonical: &str) -> Option<(usize, us
     expected.next().map(|_| line_and_column(text, text.len()))
 }
 
-fn line_and_column(text: &str, place: usize) -> (usize, usize) {
-    let before = &text.as_bytes()[..place.min(text.len())];
+fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
+    let before = &text.as_bytes()[..offset.min(text.len())];
     let line_begins = before
         .iter()
         .rposition(|&byte| byte == b'\n')
         .map_or(0, |newline| newline + 1);
     (
         before.iter().filter(|&&byte| byte == b'\n').count() + 1,
-        place - line_begins + 1,
+        offset - line_begins + 1,
     )
 }
 
@@ -141,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_occurs_twice_is_found_at_any_depth() {
+    fn a_duplicate_name_is_found_at_any_depth() {
         let read = |text: &str| {
             serde_json::from_str::<UniqueKeys>(text)
                 .map(|_| ())

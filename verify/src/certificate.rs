@@ -65,14 +65,11 @@ pub struct CertificateProvenance {
 /// # Errors
 /// Those of the system; [`std::io::ErrorKind::InvalidInput`] for anything but a regular file.
 pub fn open_regular_file(path: &Path) -> std::io::Result<File> {
-    let refuse = || {
-        Err(std::io::Error::new(
+    match path.metadata() {
+        Ok(metadata) if !metadata.is_file() && !metadata.is_dir() => Err(std::io::Error::new(
             std::io::ErrorKind::InvalidInput,
             "is not a regular file",
-        ))
-    };
-    match path.metadata() {
-        Ok(found) if !found.is_file() && !found.is_dir() => refuse(),
+        )),
         _ => File::open(path),
     }
 }
@@ -124,9 +121,9 @@ impl Certificate {
     /// the claim has no policy or the file cannot be read.
     #[must_use]
     pub fn read_policy(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
-        let beside = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
+        let sibling = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
         let mut bytes = Vec::new();
-        open_regular_file(policy.unwrap_or(&beside))
+        open_regular_file(policy.unwrap_or(&sibling))
             .ok()?
             .take(MAX_BYTES as u64)
             .read_to_end(&mut bytes)

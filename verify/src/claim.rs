@@ -115,34 +115,9 @@ impl Scene {
         )?;
         self.check_profile_length(acceleration_mps2, || "leader.acceleration_mps2".into())?;
         for (index, ego) in self.egos.iter().enumerate() {
-            let limits = [
-                ("max_brake_mps2", ego.max_brake_mps2),
-                ("max_accel_mps2", ego.max_accel_mps2),
-            ];
-            check_nonnegative(&format!("egos[{index}]"), &limits)?;
-            check_nonnegative(
-                &format!("egos[{index}]"),
-                &[
-                    ("length_m", ego.length_m),
-                    ("speed_mps", ego.speed_mps.low()),
-                ],
-            )?;
+            ego.check(&format!("egos[{index}]"))?;
         }
-        if let Some(SceneFollower {
-            speed_mps,
-            brake_mps2,
-            ttc_s,
-            ..
-        }) = &self.follower
-        {
-            let fields = [
-                ("speed_mps", speed_mps.low()),
-                ("brake_mps2", brake_mps2.low()),
-                ("ttc_s", *ttc_s),
-            ];
-            check_nonnegative("follower", &fields)?;
-        }
-        Ok(())
+        self.follower.iter().try_for_each(SceneFollower::check)
     }
 
     /// Returns N h, rounded to the nanosecond; the claim covers no later time.
@@ -162,11 +137,11 @@ impl Scene {
     /// Checks that a profile lasts for exactly N steps.
     pub(crate) fn check_profile_length<T>(
         &self,
-        held: &[ConstantPiece<T>],
+        profile: &[ConstantPiece<T>],
         field: impl Fn() -> String,
     ) -> Result<(), Rejection> {
         // Saturating: 2^32 pieces of 2^32 steps would overflow, and their total is not N either.
-        let steps = held
+        let steps = profile
             .iter()
             .fold(0_u64, |sum, piece| sum.saturating_add(piece.0.into()));
         if steps == u64::from(self.steps) {
@@ -192,50 +167,18 @@ impl Scene {
     /// Returns the scope of a claim about the scene.
     pub(crate) fn scope(&self) -> Scope {
         let leader = &self.leader;
-        let script = &leader.acceleration_mps2;
-        let ends = |held: &ConstantPiece<Interval>| [held.1.low(), held.1.high()];
-        let hull = script
-            .iter()
-            .map(ends)
-            .reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
-        let script = match hull.and_then(|[low, high]| Interval::new(low, high)) {
-            Some(accelerations) => format!(
-                "a script of {} pieces at {} m/s²",
-                script.len(),
-                format_range(accelerations)
-            ),
-            None => "no script".to_owned(),
-        };
-        let start = |position_m: Interval, speed_mps: Interval| {
-            format!(
-                "front bumper at {} m, {} m/s",
-                format_range(position_m),
-                format_range(speed_mps)
-            )
-        };
+
         let mut vehicles = vec![format!(
-            "leader: {}, {} m long, {script}",
-            start(leader.position_m, leader.speed_mps),
-            leader.length_m
+            "leader: {}, {} m long, {}",
+            describe_start(leader.position_m, leader.speed_mps),
+            leader.length_m,
+            describe_script(&leader.acceleration_mps2)
         )];
-        vehicles.extend(self.egos.iter().map(|ego| {
-        let SceneEgo { position_m, length_m, speed_mps, max_brake_mps2, max_accel_mps2 } = ego;
-        format!(
-            "under test: {}, {length_m} m long, brakes at up to {max_brake_mps2} and accelerates at up to \
-             {max_accel_mps2} m/s²",
-            start(*position_m, *speed_mps)
-        )
-    }));
-        let behind = match &self.follower {
-            Some(follower) => format!(
-                "behind: {}, brakes at {} m/s² from {} steps after its time to collision falls below {} s",
-                start(follower.position_m, follower.speed_mps),
-                format_range(follower.brake_mps2),
-                follower.reaction_steps,
-                follower.ttc_s
-            ),
-            None => "behind: no vehicle is part of the claim".to_owned(),
-        };
+        vehicles.extend(self.egos.iter().map(SceneEgo::describe));
+        let behind = self.follower.as_ref().map_or_else(
+            || "behind: no vehicle is part of the claim".to_owned(),
+            SceneFollower::describe,
+        );
         let limits = vec![format!("{} steps of {} s", self.steps, self.step_s)];
         Scope {
             behind: Some(behind),
@@ -244,17 +187,83 @@ impl Scene {
     }
 }
 
+impl SceneEgo {
+    fn check(&self, field: &str) -> Result<(), Rejection> {
+        let fields = [
+            ("max_brake_mps2", self.max_brake_mps2),
+            ("max_accel_mps2", self.max_accel_mps2),
+            ("length_m", self.length_m),
+            ("speed_mps", self.speed_mps.low()),
+        ];
+        check_nonnegative(field, &fields)
+    }
+
+    fn describe(&self) -> String {
+        format!(
+            "under test: {}, {} m long, brakes at up to {} and accelerates at up to {} m/s²",
+            describe_start(self.position_m, self.speed_mps),
+            self.length_m,
+            self.max_brake_mps2,
+            self.max_accel_mps2
+        )
+    }
+}
+
+impl SceneFollower {
+    fn check(&self) -> Result<(), Rejection> {
+        let fields = [
+            ("speed_mps", self.speed_mps.low()),
+            ("brake_mps2", self.brake_mps2.low()),
+            ("ttc_s", self.ttc_s),
+        ];
+        check_nonnegative("follower", &fields)
+    }
+
+    fn describe(&self) -> String {
+        format!(
+            "behind: {}, brakes at {} m/s² from {} steps after its time to collision falls below {} s",
+            describe_start(self.position_m, self.speed_mps),
+            format_range(self.brake_mps2),
+            self.reaction_steps,
+            self.ttc_s
+        )
+    }
+}
+
+fn describe_start(position_m: Interval, speed_mps: Interval) -> String {
+    format!(
+        "front bumper at {} m, {} m/s",
+        format_range(position_m),
+        format_range(speed_mps)
+    )
+}
+
+fn describe_script(pieces: &[ConstantPiece<Interval>]) -> String {
+    let hull = pieces
+        .iter()
+        .map(|piece| [piece.1.low(), piece.1.high()])
+        .reduce(|hull, ends| [hull[0].min(ends[0]), hull[1].max(ends[1])]);
+    match hull.and_then(|[low, high]| Interval::new(low, high)) {
+        Some(accelerations) => format!(
+            "a script of {} pieces at {} m/s²",
+            pieces.len(),
+            format_range(accelerations)
+        ),
+        None => "no script".to_owned(),
+    }
+}
+
 pub(crate) fn steps_to_seconds(step_s: f64, steps: u32) -> f64 {
     (step_s * f64::from(steps) * 1e9).round() / 1e9
 }
 
-fn check_nonnegative(of: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
+fn check_nonnegative(part: &str, fields: &[(&str, f64)]) -> Result<(), Rejection> {
     match fields
         .iter()
         .find(|(_, value)| !(*value >= 0.0 && value.is_finite()))
     {
         Some((name, _)) => Err(Rejection::invalid(
-            format!("{of}.{name}"),
+            format!("{part}.{name}"),
             "is negative or infinite",
         )),
         None => Ok(()),

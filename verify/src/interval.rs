@@ -111,7 +111,7 @@ impl Interval {
     /// Returns the square: never negative, unlike the product of two independent members.
     #[must_use]
     pub fn sqr(self) -> Self {
-        let (a, b) = (self.low.abs(), self.high.abs());
+        let [a, b] = [self.low.abs(), self.high.abs()];
         let nearest = if self.contains(0.0) { 0.0 } else { a.min(b) };
         let square = Self::round_outward(nearest * nearest, a.max(b) * a.max(b));
         Self {

@@ -122,14 +122,10 @@ impl Claim for KernelClaim {
 
     fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection> {
         input.work.charge_or_reject(OPS_PER_CHECK)?;
-        let positive = |field, text| match parse_rational(field, text)? {
-            value if value.is_positive() => Ok(value),
-            _ => Err(Rejection::invalid(field, "must be positive")),
-        };
-        let b = positive("ego_brake_mps2", &self.ego_brake_mps2)?;
-        let c = positive("leader_brake_mps2", &self.leader_brake_mps2)?;
-        positive("step_s", &self.step_s)?;
-        positive("margin_m", &self.margin_m)?;
+        let b = parse_positive("ego_brake_mps2", &self.ego_brake_mps2)?;
+        let c = parse_positive("leader_brake_mps2", &self.leader_brake_mps2)?;
+        parse_positive("step_s", &self.step_s)?;
+        parse_positive("margin_m", &self.margin_m)?;
         let p = parse_rational("stopping_own_squared", &self.stopping_own_squared)?;
         let q = parse_rational("stopping_ahead_squared", &self.stopping_ahead_squared)?;
         let r = self
@@ -142,29 +138,18 @@ impl Claim for KernelClaim {
             c: &c,
             stopping_coefficients: [&p, &q],
         };
-        let cases = match (r, b > c) {
-            (Some(r), true) => [
-                &limits.last_stop_cases()[..],
-                &[limits.harder_braking_case()],
-                &limits.catching_up_cases(&r),
-            ]
-            .concat(),
-            (None, false) => [
-                &limits.last_stop_cases()[..],
-                &limits.softer_braking_cases(),
-            ]
-            .concat(),
-            _ => {
-                return Err(Rejection::invalid(
-                    "catching_up_squared",
-                    "must be present exactly if b > c",
-                ));
-            }
-        };
+        let cases = limits.cases(r.as_ref())?;
         match cases.into_iter().find(|case| !case.holds()) {
             Some(case) => Err(Rejection::invalid("kernel", case.failure_message)),
             None => Ok(ProvedClaim::Kernel),
         }
+    }
+}
+
+fn parse_positive(field: &'static str, text: &str) -> Result<BigRational, Rejection> {
+    match parse_rational(field, text)? {
+        value if value.is_positive() => Ok(value),
+        _ => Err(Rejection::invalid(field, "must be positive")),
     }
 }
 
@@ -237,20 +222,43 @@ impl BrakeLimits<'_> {
 
     /// Returns S = p v² + q w² with v = b A and w = c B.
     fn difference_of_stops(&self, a: &Polynomial, b: &Polynomial) -> Polynomial {
-        let (v, w) = (self.b * a, self.c * b);
+        let v = self.b * a;
+        let w = self.c * b;
         &(self.stopping_coefficients[0] * &v.squared())
             + &(self.stopping_coefficients[1] * &w.squared())
+    }
+
+    /// Returns all cases, with the coefficient r if b > c.
+    fn cases(&self, r: Option<&BigRational>) -> Result<Vec<ProofCase>, Rejection> {
+        match (r, self.b > self.c) {
+            (Some(r), true) => Ok([
+                &self.last_stop_cases()[..],
+                &[self.harder_braking_case()],
+                &self.catching_up_cases(r),
+            ]
+            .concat()),
+            (None, false) => {
+                Ok([&self.last_stop_cases()[..], &self.softer_braking_cases()].concat())
+            }
+            _ => Err(Rejection::invalid(
+                "catching_up_squared",
+                "must be present exactly if b > c",
+            )),
+        }
     }
 
     /// S is the final value of closing, and bounds it from the leader's stop on; A and B in any order.
     fn last_stop_cases(&self) -> [ProofCase; 2] {
         let [x, y, z] = Polynomial::variables();
-        let s_of = |a: &Polynomial, b: &Polynomial| self.difference_of_stops(a, b);
+
         // Both stand: A = x, B = y. For S >= 0, D = S is reached at this instant; else D = 0 at t = 0.
-        let both_stand = &s_of(&x, &y) - &self.closing_distance([&x, &x], [&y, &y]);
+        let both_stand =
+            &self.difference_of_stops(&x, &y) - &self.closing_distance([&x, &x], [&y, &y]);
         // Only the leader stands: B = x, t = x + y, A = x + y + z.
-        let (t, a) = (&x + &y, &(&x + &y) + &z);
-        let leader_stands = &s_of(&a, &x) - &self.closing_distance([&a, &t], [&x, &x]);
+        let t = &x + &y;
+        let a = &t + &z;
+        let leader_stands =
+            &self.difference_of_stops(&a, &x) - &self.closing_distance([&a, &t], [&x, &x]);
         [
             ProofCase::zero("fails where both stand", both_stand),
             ProofCase::nonnegative("fails where only the vehicle ahead stands", leader_stands),
@@ -261,7 +269,8 @@ impl BrakeLimits<'_> {
     fn harder_braking_case(&self) -> ProofCase {
         let [x, y, z] = Polynomial::variables();
         // t = x, B = x + y, A = x + y + z: the remaining closing is never negative.
-        let (b, a) = (&x + &y, &(&x + &y) + &z);
+        let b = &x + &y;
+        let a = &b + &z;
         let at_end = self.closing_distance([&a, &a], [&b, &b]);
         let to_come = &at_end - &self.closing_distance([&a, &x], [&b, &x]);
         ProofCase::nonnegative(
@@ -276,8 +285,9 @@ impl BrakeLimits<'_> {
         let harder = self.b - self.c;
         let half_harder = &harder / BigRational::from_integer(2.into());
         // Both move, for any order of t, A and B: D - closing = (b - c)/2 · (t - t*)², t* = (v - w)/(b - c).
-        let (t, a, b) = (&x, &y, &z);
-        let (v, w) = (self.b * a, self.c * b);
+        let [t, a, b] = [&x, &y, &z];
+        let v = self.b * a;
+        let w = self.c * b;
         let demanded = r * &(&v - &w).squared();
         let turn = &harder.recip() * &(&v - &w);
         let short_by = &demanded - &self.closing_distance([a, t], [b, t]);
@@ -289,7 +299,8 @@ impl BrakeLimits<'_> {
         let ahead = &self.c.recip() * &(&(self.b * &x) + &z);
         let falling_back = -&self.closing_distance([&x, &y], [&ahead, &y]);
         // Only the own vehicle stands: A = x, t = x + y, B = x + y + z. Closing has not grown since its stop.
-        let (t, b) = (&x + &y, &(&x + &y) + &z);
+        let t = &x + &y;
+        let b = &t + &z;
         let since_stop =
             &self.closing_distance([&x, &x], [&b, &x]) - &self.closing_distance([&x, &x], [&b, &t]);
         [
@@ -314,7 +325,8 @@ impl BrakeLimits<'_> {
         let [x, y, z] = Polynomial::variables();
         // Both move, the leader stops first: t = x, B = x + y, A = x + y + z. closing <= (t/B) S, as t S - B closing >=
         // 0.
-        let (b, a) = (&x + &y, &(&x + &y) + &z);
+        let b = &x + &y;
+        let a = &b + &z;
         let stop_ahead = &(&x * &self.difference_of_stops(&a, &b))
             - &(&b * &self.closing_distance([&a, &x], [&b, &x]));
         // The own vehicle stops first: closing <= 0 throughout. Both move: t = x, A = x + y, B = x + y + z.

@@ -16,7 +16,8 @@ const MAX_PROBLEM_CHARS: usize = 1000;
 
 fn main() -> ExitCode {
     let mut words = std::env::args_os().skip(1).peekable();
-    let (mut policy, mut limit) = (None, Some(WorkLimit::default()));
+    let mut policy = None;
+    let mut limit = Some(WorkLimit::default());
     while let Some(option) = words.next_if(|word| word == "--policy" || word == "--work-limit") {
         let value = words.next();
         if option == "--policy" {
@@ -27,9 +28,9 @@ fn main() -> ExitCode {
                 .map(WorkLimit::from_billions);
         }
     }
-    let (policy, paths) = (policy.as_ref().map(Path::new), words);
+    let policy = policy.as_ref().map(Path::new);
     let worst = limit.and_then(|limit| {
-        paths
+        words
             .map(|path| check_file(Path::new(&path), policy, limit))
             .max()
     });
@@ -37,6 +38,25 @@ fn main() -> ExitCode {
         eprintln!("usage: crumple-verify [--policy FILE] [--work-limit N] FILE...");
         2
     }))
+}
+
+/// Prints what an accepted certificate is about, and its assumptions.
+fn print_details(certificate: &Certificate) {
+    println!(
+        "  {}",
+        certificate.scope().to_string().replace('\n', "\n  ")
+    );
+    println!(
+        "  version {}, SHA-256 of its canonical form {}",
+        certificate.version,
+        certificate.digest()
+    );
+    if let Some(caveat) = certificate.caveat() {
+        println!("  {caveat}");
+    }
+    for assumption in &certificate.assumptions {
+        println!("  assuming that {assumption}");
+    }
 }
 
 fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
@@ -59,23 +79,9 @@ fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
         certificate.read_policy(path, policy).as_deref(),
         limit,
     ) {
-        Ok(accepted) => {
-            println!("{name}: accepted: {accepted}");
-            println!(
-                "  {}",
-                certificate.scope().to_string().replace('\n', "\n  ")
-            );
-            println!(
-                "  version {}, SHA-256 of its canonical form {}",
-                certificate.version,
-                certificate.digest()
-            );
-            if let Some(caveat) = certificate.caveat() {
-                println!("  {caveat}");
-            }
-            for assumption in &certificate.assumptions {
-                println!("  assuming that {assumption}");
-            }
+        Ok(claim) => {
+            println!("{name}: accepted: {claim}");
+            print_details(&certificate);
             0
         }
         Err(rejection) => {

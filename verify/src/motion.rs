@@ -32,21 +32,32 @@ pub fn distance_and_speed_after(
 }
 
 fn corner_distance_and_speed(v: f64, a: f64, t: Interval) -> (Interval, Interval) {
-    let (v, a) = (Interval::point(v), Interval::point(a));
+    let [v, a] = [v, a].map(Interval::point);
     let end = v + a * t;
-    let moving = || v * t + a * t.sqr() * Interval::point(0.5);
-    let stopped = || v.sqr().over(-(a + a));
-    let covered = match (a.low() >= 0.0 || end.low() >= 0.0, end.high() < 0.0) {
-        (true, _) => moving(),
-        (_, true) => stopped(),
+    let surely_moves = a.low() >= 0.0 || end.low() >= 0.0;
+    let surely_stops = end.high() < 0.0;
+    let covered = if surely_moves {
+        distance_moving(v, a, t)
+    } else if surely_stops {
+        stopping_distance(v, a)
+    } else {
         // Rounding leaves open whether it stops: either formula may be the true one.
-        _ => moving().hull(stopped()),
+        distance_moving(v, a, t).hull(stopping_distance(v, a))
     };
     (covered, end.max(Interval::ZERO))
 }
 
-pub(crate) fn expand_pieces<T: Copy>(held: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
-    held.iter()
+fn distance_moving(v: Interval, a: Interval, t: Interval) -> Interval {
+    v * t + a * t.sqr() * Interval::point(0.5)
+}
+
+fn stopping_distance(v: Interval, a: Interval) -> Interval {
+    v.sqr().over(-(a + a))
+}
+
+pub(crate) fn expand_pieces<T: Copy>(pieces: &[ConstantPiece<T>]) -> impl Iterator<Item = T> {
+    pieces
+        .iter()
         .flat_map(|&ConstantPiece(steps, value)| std::iter::repeat_n(value, steps as usize))
 }
 
@@ -135,9 +146,9 @@ mod tests {
         };
         for (fires, k) in (0..=20_u32).flat_map(|fires| (0..=20_u32).map(move |k| (fires, k))) {
             let expected = (12.0 - 1.5 * f64::from(k.saturating_sub(fires + 2))).max(0.0);
-            let found = scene.follower_speed_mps(&follower, fires, k);
+            let actual = scene.follower_speed_mps(&follower, fires, k);
             assert!(
-                (found.low() - expected).abs() < 1e-12 && (found.high() - expected).abs() < 1e-12,
+                (actual.low() - expected).abs() < 1e-12 && (actual.high() - expected).abs() < 1e-12,
                 "{fires} {k}"
             );
         }

@@ -3,11 +3,11 @@
 use crate::interval::Interval;
 
 /// Formats an interval; one without width as a single number.
-pub(crate) fn format_range(of: Interval) -> String {
-    if of.low() == of.high() {
-        of.low().to_string()
+pub(crate) fn format_range(range: Interval) -> String {
+    if range.low() == range.high() {
+        range.low().to_string()
     } else {
-        format!("{} to {}", of.low(), of.high())
+        format!("{} to {}", range.low(), range.high())
     }
 }
 
@@ -29,15 +29,24 @@ fn round_towards(bound: f64, direction: i64) -> f64 {
     };
     let digits = mantissa.replace('.', "");
     let most = 4 + usize::from(bound < 0.0);
-    let kept: Option<i64> = digits.get(..most).and_then(|kept| kept.parse().ok());
-    let (Some(kept), Ok(exponent), true) = (kept, exponent.parse::<i32>(), digits.len() > most)
+    let kept_digits: Option<i64> = digits
+        .get(..most)
+        .and_then(|kept_digits| kept_digits.parse().ok());
+    let (Some(kept_digits), Ok(exponent), true) =
+        (kept_digits, exponent.parse::<i32>(), digits.len() > most)
     else {
         return bound;
     };
     // Dropping digits rounds towards zero.
     let is_outward = (bound > 0.0) == (direction > 0);
-    let kept = if is_outward { kept + direction } else { kept };
-    format!("{kept}e{}", exponent - 3).parse().unwrap_or(bound)
+    let kept_digits = if is_outward {
+        kept_digits + direction
+    } else {
+        kept_digits
+    };
+    format!("{kept_digits}e{}", exponent - 3)
+        .parse()
+        .unwrap_or(bound)
 }
 
 /// Formats a number; with an exponent only where it would have many zeros.

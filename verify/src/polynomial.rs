@@ -39,14 +39,14 @@ impl Polynomial {
 
     #[cfg(test)]
     pub(crate) fn evaluate(&self, point: [&BigRational; 3]) -> BigRational {
-        let term = |(powers, coefficient): (&[u8; 3], &BigRational)| {
-            let factors = powers
+        let terms = self.0.iter().map(|(powers, coefficient)| {
+            powers
                 .iter()
                 .zip(point)
-                .flat_map(|(&power, value)| std::iter::repeat_n(value, power.into()));
-            factors.fold(coefficient.clone(), |product, factor| product * factor)
-        };
-        self.0.iter().map(term).sum()
+                .flat_map(|(&power, value)| std::iter::repeat_n(value, power.into()))
+                .fold(coefficient.clone(), |product, factor| product * factor)
+        });
+        terms.sum()
     }
 
     /// True for the polynomial 0.

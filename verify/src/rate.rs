@@ -130,10 +130,8 @@ pub(crate) fn check_tail(
     rate: f64,
     confidence: f64,
 ) -> Result<(), Rejection> {
-    let (tail, allowed) = (
-        binomial_tail_upper_bound(failures, runs, rate),
-        1.0 - confidence,
-    );
+    let tail = binomial_tail_upper_bound(failures, runs, rate);
+    let allowed = 1.0 - confidence;
     if tail <= allowed {
         Ok(())
     } else {
@@ -175,7 +173,7 @@ fn round_up(rounded: f64) -> f64 {
 /// Bounds the tail. `powers` are upper bounds of powers of q = 1 - p, each with its exponent, in increasing order; the
 /// first is q itself. All others must be at least 1/2, so that the product does not underflow.
 fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
-    let (k, n) = (failures, runs);
+    let [k, n] = [failures, runs];
     if k >= n {
         return 1.0;
     }
@@ -184,7 +182,8 @@ fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64
     // is below 1, multiply by one of the first kind, else by one of the second, so that it neither overflows nor
     // underflows early.
     let mut term = 1.0_f64;
-    let (mut taken, mut damped) = (0, 0);
+    let mut taken = 0;
+    let mut damped = 0;
     while taken < k || damped < n - k {
         if taken < k && (term < 1.0 || damped == n - k) {
             taken += 1;
@@ -235,16 +234,16 @@ mod tests {
         }
         // q^n for q = 1 - 2^-27 and n = 2^29, which is exp(-4) to within 2e-8.
         let rate = 2.0_f64.powi(-27);
-        let found = binomial_tail_upper_bound(0, 1 << 29, rate);
+        let actual = binomial_tail_upper_bound(0, 1 << 29, rate);
         let exact = (-4.0_f64 - 2.0 * rate).exp();
         assert!(
-            found >= exact && found < exact * (1.0 + 4e-7),
-            "{found} {exact}"
+            actual >= exact && actual < exact * (1.0 + 4e-7),
+            "{actual} {exact}"
         );
     }
 
     #[test]
-    fn few_runs_are_a_factor_each_and_many_are_powers_of_two() {
+    fn the_binomial_tail_uses_powers_for_many_runs() {
         let times =
             |factor: f64, count: u32| (0..count).fold(1.0, |product, _| round_up(product * factor));
         let squared = |rate: f64, often: u32| {

@@ -1,6 +1,7 @@
 //! Registration of counted runs: the parameters that were fixed before the first run.
 
 use std::collections::BTreeMap;
+use std::str::EscapeDebug;
 
 use serde::{Deserialize, Serialize};
 
@@ -96,7 +97,8 @@ impl Registration {
         if blocks.len() as u64 != self.runs.div_ceil(block_runs) {
             return Err(Rejection::invalid("blocks", "must cover all runs"));
         }
-        let (mut sums, mut left) = ([0_u64; 2], self.runs);
+        let mut sums = [0_u64; 2];
+        let mut left = self.runs;
         for (index, ([first, second], sha256)) in blocks.iter().enumerate() {
             let runs = left.min(block_runs);
             if first.saturating_add(*second) > runs {
@@ -111,13 +113,9 @@ impl Registration {
                     "must have a SHA-256",
                 ));
             }
-            (sums, left) = (
-                [
-                    sums[0].saturating_add(*first),
-                    sums[1].saturating_add(*second),
-                ],
-                left - runs,
-            );
+            sums[0] = sums[0].saturating_add(*first);
+            sums[1] = sums[1].saturating_add(*second);
+            left -= runs;
         }
         if sums == claimed {
             Ok(())
@@ -166,11 +164,11 @@ impl Registration {
         let of_second = COMPARISON_ENTRIES.iter().filter(|_| controllers == 2);
         let mut needed = REQUIRED_ENTRIES.iter().chain(of_second);
         let optional = POLICY_ENTRIES.iter().take(controllers);
-        let known: Vec<_> = needed.clone().chain(optional).collect();
+        let allowed: Vec<_> = needed.clone().chain(optional).collect();
         if let Some(key) = needed.find(|key| entries.get(**key).is_none_or(String::is_empty)) {
             return Err(invalid_entry(key, "is missing"));
         }
-        match entries.keys().find(|key| !known.contains(&&key.as_str())) {
+        match entries.keys().find(|key| !allowed.contains(&&key.as_str())) {
             Some(key) => Err(invalid_entry(key, "is not known")),
             None => Ok(()),
         }
@@ -190,45 +188,47 @@ impl Registration {
         }) {
             return Err(invalid_entry("seed", "must be a whole number"));
         }
-        let is_positive = |text: &String| {
-            text.parse::<f64>()
-                .is_ok_and(|value| value > 0.0 && value.is_finite())
-        };
-        if !entries.get("horizon_s").is_some_and(is_positive) {
+        let horizon_s: Option<f64> = entries.get("horizon_s").and_then(|text| text.parse().ok());
+        if !horizon_s.is_some_and(|value| value > 0.0 && value.is_finite()) {
             return Err(invalid_entry("horizon_s", "must be a positive number"));
         }
         Ok(())
     }
 
+    /// Returns an entry without characters that control a terminal.
+    fn escaped(&self, key: &str) -> EscapeDebug<'_> {
+        self.configuration
+            .get(key)
+            .map_or("", String::as_str)
+            .escape_debug()
+    }
+
+    fn describe_controller(&self, key: &str) -> String {
+        format!(
+            "under test: {}, SHA-256 {}, with estimator {}",
+            self.escaped(key),
+            self.escaped(&format!("{key}_sha256")),
+            self.escaped("estimator")
+        )
+    }
+
     /// Returns the scope of a claim about the runs.
     pub(crate) fn scope(&self) -> Scope {
-        let of = |key: &str| {
-            self.configuration
-                .get(key)
-                .map_or("", String::as_str)
-                .escape_debug()
-        };
         let horizon_s = self
             .configuration
             .get("horizon_s")
             .and_then(|text| text.parse().ok());
-        let controller = |place: &str| {
-            format!(
-                "under test: {}, SHA-256 {}, with estimator {}",
-                of(place),
-                of(&format!("{place}_sha256")),
-                of("estimator")
-            )
-        };
-        let mut vehicles = vec![controller("controller")];
+        let mut vehicles = vec![self.describe_controller("controller")];
         if self.configuration.contains_key("against") {
-            vehicles.push(controller("against"));
+            vehicles.push(self.describe_controller("against"));
         }
-        let (runs, seed) = (self.runs, of("seed"));
+        let runs = self.runs;
+        let seed = self.escaped("seed");
         // Registrations are hashed, so they keep the earlier wording.
-        let failure = of("failure")
-            .to_string()
-            .replacen("vehicles touch", "collision", 1);
+        let failure =
+            self.escaped("failure")
+                .to_string()
+                .replacen("vehicles touch", "collision", 1);
         let limits = vec![format!(
             "{runs} random scenarios, seed {seed}; a failure is: {failure}"
         )];

@@ -58,9 +58,9 @@ impl Certificate {
     }
 
     fn describe_subject(&self) -> String {
-        let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
         // The author of the file chose the name: it must not control a terminal.
-        let name = name.escape_debug();
+        let name = self.provenance.scenario.escape_debug();
+        let sha256 = &self.provenance.scenario_sha256;
         if self.is_first_version() {
             return format!(
                 "`{name}`, as the file states; version 1 does not bind the statement to a text"

@@ -47,7 +47,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::assumption::Assumption;
 use crate::bounded;
-use crate::claim::{MAX_EGOS, MAX_STEPS, Scene, SceneEgo};
+use crate::claim::{MAX_EGOS, MAX_STEPS, Scene, SceneEgo, SceneFollower};
 use crate::interval::Interval;
 use crate::rejection::Rejection;
 use crate::scope::Scope;
@@ -154,13 +154,13 @@ pub fn check_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<f64,
 }
 
 fn positive_overlap_m(scene: &Scene, branch: &Branch, index: usize) -> Result<f64, Rejection> {
-    let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
-    if sum_m > 0.0 && overlap_m > 0.0 {
-        Ok(overlap_m)
+    let bound = bound_branch(scene, branch, index)?;
+    if bound.sum_m > 0.0 && bound.overlap_m > 0.0 {
+        Ok(bound.overlap_m)
     } else {
         Err(Rejection::Unproved {
             branch: index,
-            sum_m,
+            sum_m: bound.sum_m,
         })
     }
 }
@@ -171,33 +171,36 @@ pub(crate) fn branch_overlap_m(
     branch: &Branch,
     index: usize,
 ) -> Result<f64, Rejection> {
-    let (overlap_m, sum_m) = branch_overlap_and_sum(scene, branch, index)?;
-    if overlap_m > f64::NEG_INFINITY {
-        Ok(overlap_m)
+    let bound = bound_branch(scene, branch, index)?;
+    if bound.overlap_m > f64::NEG_INFINITY {
+        Ok(bound.overlap_m)
     } else {
         Err(Rejection::Unproved {
             branch: index,
-            sum_m,
+            sum_m: bound.sum_m,
         })
     }
 }
 
-fn branch_overlap_and_sum(
-    scene: &Scene,
-    branch: &Branch,
-    index: usize,
-) -> Result<(f64, f64), Rejection> {
+/// Lower bounds of the weighted sum of a branch, and of the overlap that it proves.
+struct BranchBound {
+    overlap_m: f64,
+    sum_m: f64,
+}
+
+fn bound_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<BranchBound, Rejection> {
     if branch.last < branch.first || branch.last > scene.steps {
         return Err(Rejection::Tiling { branch: index });
     }
     check_rows(scene, branch, index)?;
-    let (sum_m, contact) = min_sum(scene, branch);
-    let overlap_m = match contact == Interval::ZERO {
-        false => Interval::point(sum_m).over(contact).low(),
+    let sum = WeightedSum::new(scene, branch);
+    let sum_m = sum.min_m(scene);
+    let overlap_m = match sum.contact == Interval::ZERO {
+        false => Interval::point(sum_m).over(sum.contact).low(),
         true if sum_m > 0.0 => f64::INFINITY,
         true => f64::NEG_INFINITY,
     };
-    Ok((overlap_m, sum_m))
+    Ok(BranchBound { overlap_m, sum_m })
 }
 
 /// Checks that the branches cover 0 to N in order, each instant once. A scene without a follower must have one branch.
@@ -229,14 +232,16 @@ fn check_tiling(scene: &Scene, branches: &[Branch]) -> Result<(), Rejection> {
 
 /// Checks that every multiplier belongs to an existing row, occurs once, and is not negative.
 fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Rejection> {
-    let place = |name: &str| format!("branches[{index}].{name}");
-    let with_follower = |end: u32| if scene.follower.is_some() { end } else { 0 };
+    let field = |name: &str| format!("branches[{index}].{name}");
     let end = scene.steps + 1;
-    check_multipliers(&branch.front, end, || place("front"))?;
-    check_multipliers(&branch.rear, with_follower(end), || place("rear"))?;
-    check_multipliers(&branch.unfired, with_follower(branch.first), || {
-        place("unfired")
-    })?;
+    // Without a follower there are no rows about it.
+    let [rear_end, unfired_end, fired_end] = match &scene.follower {
+        Some(_) => [end, branch.first, scene.steps],
+        None => [0; 3],
+    };
+    check_multipliers(&branch.front, end, || field("front"))?;
+    check_multipliers(&branch.rear, rear_end, || field("rear"))?;
+    check_multipliers(&branch.unfired, unfired_end, || field("unfired"))?;
     let egos = scene.egos.len();
     for (name, lists, wanted) in [
         ("between", &branch.between, egos - 1),
@@ -244,20 +249,20 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
     ] {
         if !lists.is_empty() && lists.len() != wanted {
             return Err(Rejection::invalid(
-                place(name),
+                field(name),
                 "has the wrong number of lists",
             ));
         }
         for (list, rows) in lists.iter().enumerate() {
-            check_multipliers(rows, end, || format!("{}[{list}]", place(name)))?;
+            check_multipliers(rows, end, || format!("{}[{list}]", field(name)))?;
         }
     }
-    let may_fire = with_follower(scene.steps) > branch.first && branch.first == branch.last;
+    let may_fire = fired_end > branch.first && branch.first == branch.last;
     if branch.fired == 0.0 || may_fire && branch.fired > 0.0 && branch.fired.is_finite() {
         return Ok(());
     }
     Err(Rejection::invalid(
-        place("fired"),
+        field("fired"),
         "must be 0 except for a single firing instant, and not negative",
     ))
 }
@@ -265,19 +270,19 @@ fn check_rows(scene: &Scene, branch: &Branch, index: usize) -> Result<(), Reject
 fn check_multipliers(
     rows: &MultiplierRows,
     end: u32,
-    place: impl Fn() -> String,
+    field: impl Fn() -> String,
 ) -> Result<(), Rejection> {
     let mut next = 0;
     for (entry, &(k, multiplier)) in rows.iter().enumerate() {
         if k < next || k >= end {
             return Err(Rejection::invalid(
-                format!("{}[{entry}]", place()),
+                format!("{}[{entry}]", field()),
                 "is out of order, or has no such row",
             ));
         }
         if !(multiplier >= 0.0 && multiplier.is_finite()) {
             return Err(Rejection::invalid(
-                format!("{}[{entry}]", place()),
+                format!("{}[{entry}]", field()),
                 "has a negative or infinite multiplier",
             ));
         }
@@ -286,39 +291,56 @@ fn check_multipliers(
     Ok(())
 }
 
-/// Returns a lower bound of the weighted sum in metres, over the box and all profiles, and the sum of the collision
-/// multipliers.
-fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
-    let egos = &scene.egos;
-    let leader_rear_m = scene.leader_rear_m();
-    let last = egos.len() - 1;
-    let mut weights = vec![vec![[Interval::ZERO; 2]; scene.steps as usize + 1]; egos.len()];
-    let (mut constant, mut contact) = (Interval::ZERO, Interval::ZERO);
-    for (k, y) in nonzero_multipliers(&branch.front) {
-        weights[0][k][POSITION] += y;
-        constant += -(y * leader_rear_m[k]);
-        contact += y;
-    }
-    for (ahead, rows) in branch.between.iter().enumerate() {
-        for (k, y) in nonzero_multipliers(rows) {
-            weights[ahead + 1][k][POSITION] += y;
-            weights[ahead][k][POSITION] += -y;
-            constant += y * Interval::point(egos[ahead].length_m);
-            contact += y;
+/// A weighted sum of the rows of a branch, as a function of positions and speeds at all instants.
+struct WeightedSum {
+    /// For each ego, factors of its position and speed at each instant.
+    weights: Vec<Vec<[Interval; 2]>>,
+    constant: Interval,
+    /// Sum of the collision multipliers.
+    contact: Interval,
+}
+
+impl WeightedSum {
+    fn new(scene: &Scene, branch: &Branch) -> Self {
+        let egos = &scene.egos;
+        let mut sum = Self {
+            weights: vec![vec![[Interval::ZERO; 2]; scene.steps as usize + 1]; egos.len()],
+            constant: Interval::ZERO,
+            contact: Interval::ZERO,
+        };
+        let leader_rear_m = scene.leader_rear_m();
+        for (k, y) in nonzero_multipliers(&branch.front) {
+            sum.weights[0][k][POSITION] += y;
+            sum.constant += -(y * leader_rear_m[k]);
+            sum.contact += y;
         }
-    }
-    for (ego, rows) in branch.speed.iter().enumerate() {
-        for (k, y) in nonzero_multipliers(rows) {
-            weights[ego][k][SPEED] += -y;
+        for (ahead, rows) in branch.between.iter().enumerate() {
+            for (k, y) in nonzero_multipliers(rows) {
+                sum.weights[ahead + 1][k][POSITION] += y;
+                sum.weights[ahead][k][POSITION] += -y;
+                sum.constant += y * Interval::point(egos[ahead].length_m);
+                sum.contact += y;
+            }
         }
+        for (ego, rows) in branch.speed.iter().enumerate() {
+            for (k, y) in nonzero_multipliers(rows) {
+                sum.weights[ego][k][SPEED] += -y;
+            }
+        }
+        if let Some(follower) = &scene.follower {
+            sum.add_follower(scene, branch, follower);
+        }
+        sum
     }
-    if let Some(follower) = &scene.follower {
-        let length_m = Interval::point(egos[last].length_m);
+
+    fn add_follower(&mut self, scene: &Scene, branch: &Branch, follower: &SceneFollower) {
+        let last = scene.egos.len() - 1;
+        let length_m = Interval::point(scene.egos[last].length_m);
         for (k, y) in nonzero_multipliers(&branch.rear) {
-            weights[last][k][POSITION] += -y;
-            constant +=
+            self.weights[last][k][POSITION] += -y;
+            self.constant +=
                 y * (scene.follower_position_m(follower, branch.first, k as u32) + length_m);
-            contact += y;
+            self.contact += y;
         }
         // The row `fired` is the negative of what `unfired` would be at that instant.
         let ttc_s = Interval::point(follower.ttc_s);
@@ -326,20 +348,25 @@ fn min_sum(scene: &Scene, branch: &Branch) -> (f64, Interval) {
             .map(|(k, y)| (k, -y))
             .next();
         for (k, y) in nonzero_multipliers(&branch.unfired).chain(fired) {
-            weights[last][k][POSITION] += -y;
-            weights[last][k][SPEED] += -(y * ttc_s);
+            self.weights[last][k][POSITION] += -y;
+            self.weights[last][k][SPEED] += -(y * ttc_s);
             let coasting_m = scene.follower_position_m(follower, scene.steps, k as u32);
-            constant += y * (coasting_m + length_m + ttc_s * follower.speed_mps);
+            self.constant += y * (coasting_m + length_m + ttc_s * follower.speed_mps);
         }
     }
-    let step_s = Interval::point(scene.step_s);
-    let sum = egos
-        .iter()
-        .zip(&weights)
-        .fold(constant, |sum, (ego, weights)| {
-            sum + min_ego_sum(ego, weights, step_s)
-        });
-    (sum.low(), contact)
+
+    /// Returns a lower bound in metres over the box and all profiles.
+    fn min_m(&self, scene: &Scene) -> f64 {
+        let step_s = Interval::point(scene.step_s);
+        scene
+            .egos
+            .iter()
+            .zip(&self.weights)
+            .fold(self.constant, |sum, (ego, weights)| {
+                sum + min_ego_sum(ego, weights, step_s)
+            })
+            .low()
+    }
 }
 
 const POSITION: usize = 0;
@@ -362,7 +389,7 @@ fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> I
     else {
         return Interval::ZERO;
     };
-    let (mut slope, mut q, mut sum) = (Interval::ZERO, Interval::ZERO, Interval::ZERO);
+    let [mut slope, mut q, mut sum] = [Interval::ZERO; 3];
     for (k, &[on_position, on_speed]) in weights.iter().enumerate().take(end + 1).rev() {
         slope += on_position;
         q += on_speed;
@@ -381,20 +408,19 @@ fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> I
 /// p² b / (p + n) and n² A / (p + n), times -h/2. Otherwise the trapezoid is a lower bound, because φ(q(t)) is concave.
 /// The trapezoid is exact if q does not change sign.
 fn min_step_integral(ego: &SceneEgo, begin: Interval, end: Interval, step_s: Interval) -> Interval {
-    let (brake, accel) = (
-        Interval::point(ego.max_brake_mps2),
-        Interval::point(ego.max_accel_mps2),
-    );
+    let brake = Interval::point(ego.max_brake_mps2);
+    let accel = Interval::point(ego.max_accel_mps2);
     let half = step_s * Interval::point(0.5);
     let triangles =
         |p: Interval, n: Interval| -half * (brake * p.sqr() + accel * n.sqr()).over(p + n);
-    let phi = |q: Interval| (-brake * q).min(accel * q);
+
     if begin.low() > 0.0 && end.high() < 0.0 {
         triangles(begin, -end)
     } else if begin.high() < 0.0 && end.low() > 0.0 {
         triangles(end, -begin)
     } else {
-        half * (phi(begin) + phi(end))
+        let [at_begin, at_end] = [begin, end].map(|q| (-brake * q).min(accel * q));
+        half * (at_begin + at_end)
     }
 }
 

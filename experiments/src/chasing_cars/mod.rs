@@ -33,16 +33,17 @@ fn evaluate(formula: &Formula, point: &[f64]) -> Result<(f64, bool), ExperimentE
 }
 
 fn problems() -> Result<Vec<Problem<'static>>, ExperimentError> {
-    let problem = |(name, text): (&str, &str)| {
-        let formula: Formula = text.parse()?;
-        let evaluate = move |point: &[f64]| evaluate(&formula, point);
-        Ok(Problem {
-            name: name.to_owned(),
-            cube: UnitCube::new([PIECES, PIECES])?,
-            evaluate: Box::new(evaluate),
+    SPECIFICATIONS
+        .into_iter()
+        .map(|(name, text)| {
+            let formula: Formula = text.parse()?;
+            Ok(Problem {
+                name: name.to_owned(),
+                cube: UnitCube::new([PIECES, PIECES])?,
+                evaluate: Box::new(move |point: &[f64]| evaluate(&formula, point)),
+            })
         })
-    };
-    SPECIFICATIONS.into_iter().map(problem).collect()
+        .collect()
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
@@ -97,8 +98,8 @@ mod tests {
                 .iter()
                 .find(|(known, _)| *known == name)
                 .unwrap();
-            let found = robustness(&text.parse().unwrap(), &inputs).unwrap();
-            assert_eq!(format!("{found:.2}"), expected, "{name}");
+            let actual = robustness(&text.parse().unwrap(), &inputs).unwrap();
+            assert_eq!(format!("{actual:.2}"), expected, "{name}");
         }
     }
 
@@ -112,18 +113,18 @@ mod tests {
                     .unwrap();
                 pool.install(|| problem.successes(&Method::Auto, 0, 3).unwrap())
             };
-            let found = on(2);
+            let actual = on(2);
             let most = match problem.name.as_str() {
                 "CC4" => 1500.0,
                 "CC5" | "CCx" => 400.0,
                 _ => 15.0,
             };
             assert!(
-                found.len() == 3 && mean(&found) <= most,
-                "{}: {found:?}",
+                actual.len() == 3 && mean(&actual) <= most,
+                "{}: {actual:?}",
                 problem.name
             );
-            assert_eq!(found, on(1));
+            assert_eq!(actual, on(1));
         }
     }
 }

@@ -24,10 +24,9 @@ fn specifications() -> Vec<(String, String)> {
     let slow =
         |until_s: u32, mph: u32| format!("({low_rpm} implies always[0,{until_s}] speed < {mph})");
     let [a, b, c] = [slow(4, 35), slow(8, 50), slow(20, 65)];
-    let named = |name: &str, formula: String| (name.to_owned(), formula);
     let mut all = vec![
-        named("AT1", "always[0,20] speed < 120".to_owned()),
-        named("AT2", "always[0,10] rpm < 4750".to_owned()),
+        ("AT1".to_owned(), "always[0,20] speed < 120".to_owned()),
+        ("AT2".to_owned(), "always[0,10] rpm < 4750".to_owned()),
     ];
     for gear in 1..=4 {
         let here = format!(
@@ -44,10 +43,10 @@ fn specifications() -> Vec<(String, String)> {
     }
     let all_three = format!("{a} and {b} and {c}");
     all.extend([
-        named("AT6a", a),
-        named("AT6b", b),
-        named("AT6c", c),
-        named("AT6abc", all_three),
+        ("AT6a".to_owned(), a),
+        ("AT6b".to_owned(), b),
+        ("AT6c".to_owned(), c),
+        ("AT6abc".to_owned(), all_three),
     ]);
     all
 }
@@ -151,8 +150,8 @@ mod tests {
             ("AT1", 120.0 - 120.213_271_492_615),
             ("AT2", 4750.0 - 4_768.277_187_862_124),
         ] {
-            let found = robustness_with(name, full);
-            assert!((found - expected).abs() < 1e-9, "{name}: {found}");
+            let actual = robustness_with(name, full);
+            assert!((actual - expected).abs() < 1e-9, "{name}: {actual}");
         }
     }
 

@@ -145,10 +145,8 @@ fn lookup(knots: &[f64], values: &[f64], x: f64) -> f64 {
 }
 
 fn engine_torque(throttle: f64, rpm: f64) -> f64 {
-    let (row, column) = (
-        interval(&TORQUE_RPM, rpm),
-        interval(&TORQUE_THROTTLE, throttle),
-    );
+    let row = interval(&TORQUE_RPM, rpm);
+    let column = interval(&TORQUE_THROTTLE, throttle);
     blend(
         &[
             blend(&TORQUE[row.0], column),
@@ -214,16 +212,14 @@ fn step(state: State, gear: usize, throttle: f64, brake: f64) -> State {
     let mut at = state;
     for (stage, weights) in DORMAND_PRINCE.iter().enumerate() {
         slopes[stage] = derivatives(at, gear, throttle, brake);
-        let moved = |i: usize| {
-            state[i]
-                + STEP_S
-                    * weights
-                        .iter()
-                        .zip(&slopes)
-                        .map(|(w, slope)| w * slope[i])
-                        .sum::<f64>()
-        };
-        at = [moved(0), moved(1)];
+        at = std::array::from_fn(|i| {
+            let slope: f64 = weights
+                .iter()
+                .zip(&slopes)
+                .map(|(w, slope)| w * slope[i])
+                .sum();
+            state[i] + STEP_S * slope
+        });
     }
     [at[0].clamp(ENGINE_RPM[0], ENGINE_RPM[1]), at[1]]
 }
@@ -266,7 +262,9 @@ pub(super) fn simulate(
     inputs: impl Fn(f64) -> [f64; 2],
 ) -> Result<SampledSignals<'static>, SignalsError> {
     let mut traces: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(STEPS + 1));
-    let (mut state, mut gear, mut selection) = ([1000.0, 0.0], 0, Selection::Steady);
+    let mut state = [1000.0, 0.0];
+    let mut gear = 0;
+    let mut selection = Selection::Steady;
     for k in 0..=STEPS {
         let [throttle, brake] = inputs(k as f64 * STEP_S);
         let mph = state[1] * MPH_PER_WHEEL_SPEED;

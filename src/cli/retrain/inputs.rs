@@ -1,7 +1,7 @@
 //! Scenarios and spaces that the options of `crumple retrain` name.
 
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::super::{CliError, args, output};
 use crate::cli::global_options::GlobalOptions;
@@ -17,7 +17,6 @@ pub(super) fn load_attacked(
     imitates: bool,
     global: GlobalOptions,
 ) -> Result<Vec<Scenario>, CliError> {
-    let is_suitable = |scenario: &Scenario| unsuitability(scenario).is_none();
     if names.is_empty() {
         let names = built_in_scenario_names()
             .map(|(name, _)| name)
@@ -25,7 +24,7 @@ pub(super) fn load_attacked(
             .filter(|_| imitates);
         return Ok(names
             .filter_map(built_in_scenario)
-            .filter(is_suitable)
+            .filter(|scenario| unsuitability(scenario).is_none())
             .collect());
     }
     if is_none("--scenario", "scenarios", names)? {
@@ -34,48 +33,52 @@ pub(super) fn load_attacked(
     let mut scenarios = Vec::new();
     for name in names {
         if name.is_dir() {
-            let all = file::load_all(name, &global.controllers)?;
-            if all.is_empty() {
-                return Err(CliError::Input(format!(
-                    "--scenario: {}: the folder contains no scenario file",
-                    name.display()
-                )));
-            }
-            let before = scenarios.len();
-            scenarios.extend(
-                all.iter()
-                    .map(|(_, scenario)| scenario.clone())
-                    .filter(is_suitable),
-            );
-            let used = scenarios.len() - before;
-            if used < all.len() {
-                let first = all
-                    .iter()
-                    .find_map(|(path, scenario)| Some((path, unsuitability(scenario)?)));
-                let reason = first.map_or_else(String::new, |(path, reason)| {
-                    format!(": {}: {reason}", path.display())
-                });
-                output::note(
-                    &format!(
-                        "{}: uses {used} of {} scenarios{reason}",
-                        name.display(),
-                        all.len()
-                    ),
-                    global.quiet,
-                );
-            }
-        } else {
-            let scenario = args::load_scenario(name, global.controllers)?;
-            if let Some(reason) = unsuitability(&scenario) {
-                return Err(CliError::Input(format!(
-                    "--scenario: `{}` cannot be trained on: {reason}",
-                    name.display()
-                )));
-            }
-            scenarios.push(scenario);
+            scenarios.extend(load_suitable(name, global)?);
+            continue;
         }
+        let scenario = args::load_scenario(name, global.controllers)?;
+        if let Some(reason) = unsuitability(&scenario) {
+            return Err(CliError::Input(format!(
+                "--scenario: `{}` cannot be trained on: {reason}",
+                name.display()
+            )));
+        }
+        scenarios.push(scenario);
     }
     Ok(scenarios)
+}
+
+/// Loads the scenarios of a folder that a policy can be trained on, and notes if others are left out.
+fn load_suitable(folder: &Path, global: GlobalOptions) -> Result<Vec<Scenario>, CliError> {
+    let all = file::load_all(folder, &global.controllers)?;
+    if all.is_empty() {
+        return Err(CliError::Input(format!(
+            "--scenario: {}: the folder contains no scenario file",
+            folder.display()
+        )));
+    }
+    let mut suitable = Vec::new();
+    let mut first_refusal = None;
+    for (path, scenario) in &all {
+        match unsuitability(scenario) {
+            None => suitable.push(scenario.clone()),
+            Some(reason) => {
+                first_refusal.get_or_insert(format!(": {}: {reason}", path.display()));
+            }
+        }
+    }
+    if let Some(reason) = first_refusal {
+        output::note(
+            &format!(
+                "{}: uses {} of {} scenarios{reason}",
+                folder.display(),
+                suitable.len(),
+                all.len()
+            ),
+            global.quiet,
+        );
+    }
+    Ok(suitable)
 }
 
 pub(super) fn load_regression_spaces(
@@ -123,7 +126,7 @@ pub(super) fn load_spaces(
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
         let space = args::load_space(option, name, controllers)?;
-        if spaces.iter().any(|known| known.name() == space.name()) {
+        if spaces.iter().any(|earlier| earlier.name() == space.name()) {
             return Err(CliError::Input(format!(
                 "{option}: two spaces have the name `{}`",
                 space.name()

@@ -6,7 +6,7 @@ use crate::Rejection;
 use crate::interval::Interval;
 use crate::reach::controller::OBSERVATION_SIZE;
 use crate::reach::form::AffineForm;
-use crate::reach::{FollowerLaw, NeuralController};
+use crate::reach::{ControllerInput, FollowerLaw, NeuralController};
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 
 /// Gaps ahead and behind; speeds ahead, own, behind; accelerations ahead, own, behind.
@@ -29,31 +29,33 @@ pub(super) enum CommandModel<'a> {
     Network(Box<NeuralController>, [Interval; 2]),
 }
 
+/// True if an input depends on gap and relative speed of the pair only, or on a follower, which does not exist.
+fn is_relative(input: &ControllerInput) -> bool {
+    let factors = &input.coefficients;
+    let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION]
+        .iter()
+        .any(|&quantity| factors[quantity] != 0.0);
+    if is_about_follower {
+        input.absent_value.is_some()
+    } else {
+        factors[OWN] + factors[LEADER] == 0.0
+            && factors[LEADER_ACCELERATION] == 0.0
+            && factors[OWN_ACCELERATION] == 0.0
+    }
+}
+
 impl CommandModel<'_> {
     /// Checks that a controller has no input that the model of motion does not have.
     pub(super) fn check_inputs(&self, motion: MotionModel) -> Result<(), Rejection> {
-        let (Self::Network(network, _), MotionModel::Relative) = (self, motion) else {
-            return match (self, motion) {
-                (Self::Law(_), MotionModel::Relative) => Err(Rejection::invalid(
+        let network = match (self, motion) {
+            (_, MotionModel::Absolute) => return Ok(()),
+            (Self::Law(_), MotionModel::Relative) => {
+                return Err(Rejection::invalid(
                     "motion",
                     "is relative, and the controller depends on its own speed",
-                )),
-                _ => Ok(()),
-            };
-        };
-        let is_relative = |input: &crate::reach::ControllerInput| {
-            let of = &input.coefficients;
-            let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION]
-                .iter()
-                .any(|&place| of[place] != 0.0);
-            let is_of_pair = of[OWN] + of[LEADER] == 0.0
-                && of[LEADER_ACCELERATION] == 0.0
-                && of[OWN_ACCELERATION] == 0.0;
-            if is_about_follower {
-                input.absent_value.is_some()
-            } else {
-                is_of_pair
+                ));
             }
+            (Self::Network(network, _), MotionModel::Relative) => network,
         };
         if network.inputs.iter().all(is_relative) {
             Ok(())
@@ -81,8 +83,8 @@ impl CommandModel<'_> {
             }
             Self::Network(network, [own_mps2, leader_mps2]) => {
                 let mut forms: [AffineForm; OBSERVATION_SIZE] = Default::default();
-                for (place, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
-                    forms[place] = form.clone();
+                for (quantity, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
+                    forms[quantity] = form.clone();
                 }
                 // There is no follower. Its substitute has the own speed and does not accelerate.
                 forms[GAP_BEHIND] = AffineForm::constant(Interval::point(network.empty_gap_m));
@@ -91,8 +93,8 @@ impl CommandModel<'_> {
                     (LEADER_ACCELERATION, leader_mps2),
                     (OWN_ACCELERATION, own_mps2),
                 ];
-                for (symbol, (place, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
-                    forms[place] = AffineForm::symbol(symbol, *range);
+                for (symbol, (quantity, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
+                    forms[quantity] = AffineForm::symbol(symbol, *range);
                 }
                 network
                     .decide_with_budget(&forms, &[0.0; OBSERVATION_SIZE], false, work)

@@ -190,14 +190,26 @@ impl InvariantClaim {
         policy: Option<&[u8]>,
         budget: &'a OpBudget,
     ) -> Result<ClosedLoop<'a>, Rejection> {
-        let limits = |[low, high]: [f64; 2], field: &str| {
-            let limits = (low <= 0.0 && high >= 0.0)
-                .then(|| Interval::new(low, high))
-                .flatten();
-            limits.ok_or_else(|| Rejection::invalid(field, "must contain 0 and be finite"))
-        };
-        let own_mps2 = limits(self.own_mps2, "own_mps2")?;
-        let leader_mps2 = limits(self.leader_mps2, "leader_mps2")?;
+        let own_mps2 = acceleration_range(self.own_mps2, "own_mps2")?;
+        let leader_mps2 = acceleration_range(self.leader_mps2, "leader_mps2")?;
+        self.check_numbers()?;
+        let command = self.command_model(policy, [own_mps2, leader_mps2])?;
+        command.check_inputs(self.motion)?;
+        Ok(ClosedLoop {
+            motion: self.motion,
+            command,
+            interval_s: self.interval_s(),
+            own_mps2,
+            leader_mps2,
+            error: self.observation_error,
+            splits: self.splits,
+            ends_beyond_gap_m: self.ends_beyond_gap_m.unwrap_or(f64::INFINITY),
+            budget,
+        })
+    }
+
+    /// Checks times, observation errors, the largest gap and the number of splits.
+    fn check_numbers(&self) -> Result<(), Rejection> {
         if !(self.step_s > 0.0
             && self.step_s.is_finite()
             && (1..=MAX_DECISION_STEPS).contains(&self.decision_steps))
@@ -229,10 +241,18 @@ impl InvariantClaim {
         if self.splits > MAX_SPLITS {
             return Err(Rejection::invalid("splits", "is too large"));
         }
-        let command = match &self.controller {
+        Ok(())
+    }
+
+    fn command_model(
+        &self,
+        policy: Option<&[u8]>,
+        accelerations_mps2: [Interval; 2],
+    ) -> Result<CommandModel<'_>, Rejection> {
+        match &self.controller {
             InvariantController::Law(law) => {
                 law.validate()?;
-                CommandModel::Law(law)
+                Ok(CommandModel::Law(law))
             }
             InvariantController::Network(network) => {
                 let loaded =
@@ -244,21 +264,9 @@ impl InvariantClaim {
                         "is not the decision interval of the network",
                     ));
                 }
-                CommandModel::Network(Box::new(loaded), [own_mps2, leader_mps2])
+                Ok(CommandModel::Network(Box::new(loaded), accelerations_mps2))
             }
-        };
-        command.check_inputs(self.motion)?;
-        Ok(ClosedLoop {
-            motion: self.motion,
-            command,
-            interval_s: self.interval_s(),
-            own_mps2,
-            leader_mps2,
-            error: self.observation_error,
-            splits: self.splits,
-            ends_beyond_gap_m: self.ends_beyond_gap_m.unwrap_or(f64::INFINITY),
-            budget,
-        })
+        }
     }
 
     /// Checks that states leave the table only where the claim ends.
@@ -266,39 +274,44 @@ impl InvariantClaim {
     /// # Errors
     /// [`Rejection`] names the field.
     pub fn check_axes(&self, table: &HeightTable) -> Result<(), Rejection> {
-        let wrong = |problem| Err(Rejection::invalid("axes", problem));
         let [own, leader] = self.axes;
-        if self.initial_own_mps_at_most > own.high {
-            return wrong("must contain the largest own speed at the start");
-        }
-        match self.motion {
-            MotionModel::Absolute if own.low != 0.0 || leader.low != 0.0 => {
-                wrong("must begin at speed 0")
-            }
-            MotionModel::Relative if leader != TableAxis::point(0.0) => {
-                wrong("must have the leader's speed 0 in the relative model")
-            }
-            MotionModel::Relative => {
-                let relative =
-                    Interval::point(self.own_mps2[1]) - Interval::point(self.leader_mps2[0]);
-                let fastest = (relative * self.interval_s()).high();
-                let reached = (Interval::point(own.low) + Interval::point(fastest)).high();
-                let nodes =
-                    (0..own.node_count()).take_while(|&i| i == 0 || own.node(i - 1) < reached);
-                let is_level = nodes
-                    .into_iter()
-                    .all(|i| table.node_height([i, 0]) == table.node_height([0; 2]));
-                if is_level && own.low <= -fastest {
-                    Ok(())
-                } else {
-                    wrong(
-                        "must begin with equal heights at opening speeds that one decision cannot reverse",
-                    )
+        let problem = if self.initial_own_mps_at_most > own.high {
+            "must contain the largest own speed at the start"
+        } else {
+            match self.motion {
+                MotionModel::Absolute if own.low != 0.0 || leader.low != 0.0 => {
+                    "must begin at speed 0"
                 }
+                MotionModel::Relative if leader != TableAxis::point(0.0) => {
+                    "must have the leader's speed 0 in the relative model"
+                }
+                MotionModel::Relative if !self.begins_level(table) => {
+                    "must begin with equal heights at opening speeds that one decision cannot reverse"
+                }
+                _ => return Ok(()),
             }
-            MotionModel::Absolute => Ok(()),
-        }
+        };
+        Err(Rejection::invalid("axes", problem))
     }
+
+    /// True if the table has equal heights at opening speeds that one decision cannot reverse.
+    fn begins_level(&self, table: &HeightTable) -> bool {
+        let own = self.axes[0];
+        let relative = Interval::point(self.own_mps2[1]) - Interval::point(self.leader_mps2[0]);
+        let fastest = (relative * self.interval_s()).high();
+        let reached = (Interval::point(own.low) + Interval::point(fastest)).high();
+        let is_level = (0..own.node_count())
+            .take_while(|&i| i == 0 || own.node(i - 1) < reached)
+            .all(|i| table.node_height([i, 0]) == table.node_height([0; 2]));
+        is_level && own.low <= -fastest
+    }
+}
+
+fn acceleration_range([low, high]: [f64; 2], field: &str) -> Result<Interval, Rejection> {
+    (low <= 0.0 && high >= 0.0)
+        .then(|| Interval::new(low, high))
+        .flatten()
+        .ok_or_else(|| Rejection::invalid(field, "must contain 0 and be finite"))
 }
 
 /// Returns failing cells in order, as index and missing height in metres, at most `limit` per thread.
@@ -311,20 +324,23 @@ fn failing_cells(
     let cells: Vec<_> = table.cells().enumerate().collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     std::thread::scope(|scope| {
-        let check = |cells: &[(usize, [usize; AXIS_COUNT])]| -> Vec<_> {
-            let fails = |&(index, cell): &(usize, _)| {
-                Some((index, closed_loop.check_cell(table, cell).err()?))
-            };
-            cells.iter().filter_map(fails).take(limit).collect()
-        };
         let chunks = cells.chunks(cells.len().div_ceil(threads).max(1));
         let parts: Vec<_> = chunks
-            .map(|cells| scope.spawn(move || check(cells)))
+            .map(|cells| {
+                scope.spawn(move || {
+                    cells
+                        .iter()
+                        .filter_map(|&(index, cell)| {
+                            Some((index, closed_loop.check_cell(table, cell).err()?))
+                        })
+                        .take(limit)
+                        .collect::<Vec<_>>()
+                })
+            })
             .collect();
-        let died = |_| vec![(0, f64::INFINITY)];
         parts
             .into_iter()
-            .flat_map(|part| part.join().unwrap_or_else(died))
+            .flat_map(|part| part.join().unwrap_or_else(|_| vec![(0, f64::INFINITY)]))
             .collect()
     })
 }

@@ -13,38 +13,22 @@ impl InvariantClaim {
     pub fn share(&self, table: &HeightTable) -> Result<f64, Rejection> {
         let point = Interval::point;
         let [own, leader] = self.axes;
-        let widths = [self.region_own_mps, self.region_leader_mps].map(|[low, high]| high - low);
-        let is_line =
-            leader.cells == 0 && widths[1] == 0.0 && self.region_leader_mps[0] == leader.low;
-        let is_region = self.region_gap_m > 0.0 && self.region_gap_m.is_finite() && widths[0] > 0.0;
-        if !(is_region
-            && widths[0].is_finite()
-            && (is_line || widths[1] > 0.0 && widths[1].is_finite()))
-        {
-            return Err(Rejection::invalid(
-                "region_gap_m",
-                "must be positive and finite, and the speeds of the region must increase",
-            ));
-        }
-        let inside = |axis: TableAxis, index: usize, [low, high]: [f64; 2]| {
-            let range = axis.cell(index);
-            (range.low() >= low && range.high() <= high)
-                .then(|| point(range.high()) - point(range.low()))
-        };
+        let is_line = self.region_is_line();
+        self.check_region(is_line)?;
         let own_region = [
             self.region_own_mps[0],
             self.region_own_mps[1].min(self.initial_own_mps_at_most),
         ];
         let mut volume = Interval::ZERO;
         for i in 0..own.cells as usize {
-            let Some(own_width) = inside(own, i, own_region) else {
+            let Some(own_width) = width_inside(own, i, own_region) else {
                 continue;
             };
             for j in 0..(leader.cells as usize).max(1) {
                 let leader_width = if is_line {
                     Some(Interval::ONE)
                 } else {
-                    inside(leader, j, self.region_leader_mps)
+                    width_inside(leader, j, self.region_leader_mps)
                 };
                 let Some(leader_width) = leader_width else {
                     continue;
@@ -66,4 +50,35 @@ impl InvariantClaim {
             .low()
             .max(0.0))
     }
+
+    /// True if the region has a single speed of the leader, that of the table.
+    fn region_is_line(&self) -> bool {
+        let leader = self.axes[1];
+        let [low, high] = self.region_leader_mps;
+        leader.cells == 0 && high - low == 0.0 && low == leader.low
+    }
+
+    fn check_region(&self, is_line: bool) -> Result<(), Rejection> {
+        let [own_width, leader_width] =
+            [self.region_own_mps, self.region_leader_mps].map(|[low, high]| high - low);
+        let is_region = self.region_gap_m > 0.0 && self.region_gap_m.is_finite() && own_width > 0.0;
+        if is_region
+            && own_width.is_finite()
+            && (is_line || leader_width > 0.0 && leader_width.is_finite())
+        {
+            Ok(())
+        } else {
+            Err(Rejection::invalid(
+                "region_gap_m",
+                "must be positive and finite, and the speeds of the region must increase",
+            ))
+        }
+    }
+}
+
+/// Returns the width of a cell, or `None` if it is not entirely within a range.
+fn width_inside(axis: TableAxis, index: usize, [low, high]: [f64; 2]) -> Option<Interval> {
+    let range = axis.cell(index);
+    (range.low() >= low && range.high() <= high)
+        .then(|| Interval::point(range.high()) - Interval::point(range.low()))
 }

@@ -48,11 +48,29 @@ struct Part {
     above_m: Interval,
 }
 
+/// The gap, and the states without it, as forms in the shares of a part and the height above.
+struct PartForms {
+    gap: AffineForm,
+    of_axis: [AffineForm; AXIS_COUNT],
+}
+
 /// Speeds of the states of a part, and their closing speeds.
 #[derive(Clone, Copy)]
 struct PartRanges {
     of_axis: [Interval; AXIS_COUNT],
     closing: Interval,
+}
+
+/// Change of a state along one axis until it leaves the table, and the first and last cell that it touches.
+struct AxisMotion {
+    change: Interval,
+    cells: [usize; 2],
+}
+
+/// States that touch a cell on their way, and their changes until then.
+struct TouchingStates {
+    ranges: PartRanges,
+    changes: [Interval; AXIS_COUNT],
 }
 
 impl ClosedLoop<'_> {
@@ -90,16 +108,12 @@ impl ClosedLoop<'_> {
         {
             return Err(f64::INFINITY);
         }
-        let (gap, [own, leader]) = part.forms(table);
+        let PartForms { gap, of_axis } = part.forms(table);
         if gap.range().low() > self.ends_beyond_gap_m {
             return Ok(());
         }
-        let mut observed = [gap, own, leader];
-        observed
-            .iter_mut()
-            .zip(self.error)
-            .for_each(|(form, error)| form.widen(error));
-        let command = self.command.range(&observed, self.own_mps2, self.budget);
+        let [own, leader] = of_axis;
+        let command = self.command_range([gap, own, leader]);
         let missing_m = self.missing_m(table, &part.ranges(table), command, part.above_m.low());
         if missing_m <= 0.0 {
             return Ok(());
@@ -131,73 +145,35 @@ impl ClosedLoop<'_> {
         command: Interval,
         above_m: f64,
     ) -> f64 {
-        let mut of_state = self.change(ranges, command).of_state;
-        let mut touched = [[0; 2]; AXIS_COUNT];
-        for (axis, touched) in touched.iter_mut().enumerate() {
-            let (whole, part) = (table.axes()[axis].range(), ranges.of_axis[axis]);
-            // The claim ends where a state leaves the table.
-            let leaving = [whole.low() - part.high(), whole.high() - part.low()];
-            let to_edge = Interval::new(leaving[0].next_down(), leaving[1].next_up())
-                .unwrap_or(Interval::ENTIRE);
-            of_state[axis] = clip(of_state[axis], to_edge);
-            // No rounding where no state moves: a simplex that contains only the start adds nothing.
-            let (change, moved) = (of_state[axis], part + of_state[axis]);
-            let low = if change.low() < 0.0 {
-                moved.low()
-            } else {
-                part.low()
-            };
-            let high = if change.high() > 0.0 {
-                moved.high()
-            } else {
-                part.high()
-            };
-            let reached = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
-            *touched = table.axes()[axis].cells_of(clip(reached, whole));
-        }
-        let count: usize = touched
+        let changes = self.change(ranges, command).of_state;
+        let motions: [AxisMotion; AXIS_COUNT] = std::array::from_fn(|axis| {
+            AxisMotion::new(&table.axes()[axis], ranges.of_axis[axis], changes[axis])
+        });
+        let count: usize = motions
             .iter()
-            .map(|[first, last]| last - first + 1)
+            .map(|AxisMotion { cells, .. }| cells[1] - cells[0] + 1)
             .product();
         let operations =
             (count * table.orders().len()) as u64 * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP;
         if count > MAX_TOUCHED_CELLS || !self.budget.charge(operations) {
             return f64::INFINITY;
         }
-        let [own, leader] = touched.map(|[first, last]| first..=last);
+        let changes = motions.each_ref().map(|motion| motion.change);
+        let [own, leader] = motions.map(
+            |AxisMotion {
+                 cells: [first, last],
+                 ..
+             }| first..=last,
+        );
         let mut worst_m = f64::NEG_INFINITY;
         for cell in own.flat_map(|i| leader.clone().map(move |j| [i, j])) {
-            let mut from = *ranges;
-            let mut of_state = of_state;
-            let is_touched = |(axis, &TableAxis { cells, .. }): (usize, &TableAxis)| {
-                let whole = [from.of_axis[axis], of_state[axis]];
-                let reach = touch(whole[0], whole[1], table.axes()[axis].cell(cell[axis]));
-                let reach = if cells == 0 { Some(whole) } else { reach };
-                reach
-                    .map(|[start, along]| (from.of_axis[axis], of_state[axis]) = (start, along))
-                    .is_some()
-            };
-            if !table.axes().iter().enumerate().all(is_touched) {
+            let Some(states) = TouchingStates::new(*ranges, changes, table, cell) else {
                 continue;
-            }
-            let change = self.change(&from, command);
+            };
+            let change = self.change(&states.ranges, command);
             for axes in table.orders() {
                 let slopes = table.slopes(cell, axes);
-                let (spare_m, own) = match change.stops_at_mps2.filter(|_| slopes[0].low() >= 0.0) {
-                    Some(braking) => (
-                        change.leader_m,
-                        self.stopping_rise(from.of_axis[0], braking, slopes[0]),
-                    ),
-                    None => (change.growth_m, slopes[0] * of_state[0]),
-                };
-                let others = axes
-                    .iter()
-                    .filter(|&&axis| axis > 0 && slopes[axis] != Interval::ZERO);
-                let less = |sum: f64, &axis: &usize| {
-                    sum_below(sum, -(slopes[axis] * of_state[axis]).high())
-                };
-                let missing_m =
-                    -others.fold(sum_below(sum_below(above_m, spare_m), -own.high()), less);
+                let missing_m = self.missing_in_simplex_m(&states, &change, axes, &slopes, above_m);
                 worst_m = if missing_m.is_nan() {
                     f64::INFINITY
                 } else {
@@ -213,9 +189,38 @@ impl ClosedLoop<'_> {
         }
     }
 
+    /// Returns an upper bound of the missing height of states in a simplex, over which the boundary has these slopes.
+    fn missing_in_simplex_m(
+        &self,
+        states: &TouchingStates,
+        change: &Change,
+        axes: &[usize],
+        slopes: &[Interval; AXIS_COUNT],
+        above_m: f64,
+    ) -> f64 {
+        let braking = change.stops_at_mps2.filter(|_| slopes[0].low() >= 0.0);
+        let spare_m = if braking.is_some() {
+            change.leader_m
+        } else {
+            change.growth_m
+        };
+        let own_rise = braking.map_or_else(
+            || slopes[0] * states.changes[0],
+            |braking| self.stopping_rise(states.ranges.of_axis[0], braking, slopes[0]),
+        );
+        let spare_m = sum_below(sum_below(above_m, spare_m), -own_rise.high());
+        -axes
+            .iter()
+            .filter(|&&axis| axis > 0 && slopes[axis] != Interval::ZERO)
+            .fold(spare_m, |sum, &axis| {
+                sum_below(sum, -(slopes[axis] * states.changes[axis]).high())
+            })
+    }
+
     fn change(&self, ranges: &PartRanges, command: Interval) -> Change {
         let point = Interval::point;
-        let (time, half) = (self.interval_s, self.interval_s.sqr() * point(0.5));
+        let time = self.interval_s;
+        let half = time.sqr() * point(0.5);
         let [own, leader] = ranges.of_axis;
         if self.motion == MotionModel::Relative {
             let relative = command - self.leader_mps2;
@@ -227,7 +232,7 @@ impl ClosedLoop<'_> {
             };
         }
         let leads = self.leader_mps2;
-        let changes = |speed: Interval, acceleration: Interval| (acceleration * time).max(-speed);
+
         let hardest = point(command.high());
         let leader_m = distance_and_speed_after(point(leader.low()), point(leads.low()), time)
             .0
@@ -249,7 +254,7 @@ impl ClosedLoop<'_> {
                 apart_m.max(of_closing.low())
             },
             stops_at_mps2: may_stop.then_some(command.high()),
-            of_state: [changes(own, command), changes(leader, leads)],
+            of_state: [(command * time).max(-own), (leads * time).max(-leader)],
         }
     }
 
@@ -258,10 +263,7 @@ impl ClosedLoop<'_> {
     fn stopping_rise(&self, speed: Interval, acceleration: f64, slope: Interval) -> Interval {
         let acceleration = Interval::point(acceleration);
         let largest = -(acceleration * self.interval_s);
-        let at = |speed: Interval| {
-            let (covered, end) = distance_and_speed_after(speed, acceleration, self.interval_s);
-            covered + slope * (end - speed)
-        };
+
         let inner = largest
             .max(Interval::point(speed.low()))
             .min(Interval::point(speed.high()));
@@ -269,80 +271,152 @@ impl ClosedLoop<'_> {
         let at_low = if speed.low() == 0.0 {
             Interval::ZERO
         } else {
-            at(Interval::point(speed.low()))
+            self.rise(Interval::point(speed.low()), acceleration, slope)
         };
-        at_low.max(at(Interval::point(speed.high()))).max(at(inner))
+        at_low
+            .max(self.rise(Interval::point(speed.high()), acceleration, slope))
+            .max(self.rise(inner, acceleration, slope))
+    }
+
+    /// Returns d(v, a, T) + slope · (v(T) - v).
+    fn rise(&self, speed: Interval, acceleration: Interval, slope: Interval) -> Interval {
+        let (covered, end) = distance_and_speed_after(speed, acceleration, self.interval_s);
+        covered + slope * (end - speed)
     }
 
     /// True if no state of the table reaches a larger own speed than the table has, whatever the gap.
     pub(super) fn keeps_own_speed(&self, table: &HeightTable, farthest_m: f64) -> bool {
+        self.motion == MotionModel::Absolute
+            && (0..table.axes()[0].cells as usize)
+                .all(|index| self.keeps_own_speed_in_cell(table, index, farthest_m))
+    }
+
+    fn keeps_own_speed_in_cell(&self, table: &HeightTable, index: usize, farthest_m: f64) -> bool {
         let axis = table.axes()[0];
         let fastest = Interval::point(self.own_mps2.high().max(0.0)) * self.interval_s;
-        let keeps = |index: usize| {
-            let speeds = axis.cell(index);
-            if (speeds + fastest).high() <= axis.high {
-                return true;
-            }
-            let gap = Interval::new(table.extremes()[0], farthest_m).unwrap_or(Interval::ENTIRE);
-            let mut observed = [gap, speeds, table.axes()[1].range()].map(AffineForm::constant);
-            observed
-                .iter_mut()
-                .zip(self.error)
-                .for_each(|(form, error)| form.widen(error));
-            self.command
-                .range(&observed, self.own_mps2, self.budget)
-                .high()
-                <= 0.0
+        let speeds = axis.cell(index);
+        if (speeds + fastest).high() <= axis.high {
+            return true;
+        }
+        let gap = Interval::new(table.extremes()[0], farthest_m).unwrap_or(Interval::ENTIRE);
+        let observed = [gap, speeds, table.axes()[1].range()].map(AffineForm::constant);
+        self.command_range(observed).high() <= 0.0
+    }
+
+    /// Bounds the command for a gap, own and leader's speed that are observed with errors.
+    fn command_range(&self, mut observed: [AffineForm; 3]) -> Interval {
+        observed
+            .iter_mut()
+            .zip(self.error)
+            .for_each(|(form, error)| form.widen(error));
+        self.command.range(&observed, self.own_mps2, self.budget)
+    }
+}
+
+impl AxisMotion {
+    fn new(axis: &TableAxis, part: Interval, change: Interval) -> Self {
+        let whole = axis.range();
+        // The claim ends where a state leaves the table.
+        let leaving = [whole.low() - part.high(), whole.high() - part.low()];
+        let to_edge =
+            Interval::new(leaving[0].next_down(), leaving[1].next_up()).unwrap_or(Interval::ENTIRE);
+        let change = clip(change, to_edge);
+        let moved = part + change;
+        // No rounding where no state moves: a simplex that contains only the start adds nothing.
+        let low = if change.low() < 0.0 {
+            moved.low()
+        } else {
+            part.low()
         };
-        self.motion == MotionModel::Absolute && (0..axis.cells as usize).all(keeps)
+        let high = if change.high() > 0.0 {
+            moved.high()
+        } else {
+            part.high()
+        };
+        let reached = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
+        Self {
+            change,
+            cells: axis.cells_of(clip(reached, whole)),
+        }
+    }
+}
+
+impl TouchingStates {
+    /// Returns the states that touch `cell` on their way, or `None` if none does.
+    fn new(
+        ranges: PartRanges,
+        changes: [Interval; AXIS_COUNT],
+        table: &HeightTable,
+        cell: [usize; AXIS_COUNT],
+    ) -> Option<Self> {
+        let mut states = Self { ranges, changes };
+        // All states are in the only cell of an axis without extent.
+        for (index, axis) in table
+            .axes()
+            .iter()
+            .enumerate()
+            .filter(|(_, axis)| axis.cells > 0)
+        {
+            let [start, along] = touch(
+                ranges.of_axis[index],
+                changes[index],
+                axis.cell(cell[index]),
+            )?;
+            states.ranges.of_axis[index] = start;
+            states.changes[index] = along;
+        }
+        Some(states)
     }
 }
 
 impl Part {
-    /// Returns the gap, and the states without it, as forms in the shares and the height above.
-    fn forms(&self, table: &HeightTable) -> (AffineForm, [AffineForm; AXIS_COUNT]) {
+    fn forms(&self, table: &HeightTable) -> PartForms {
         let nodes = table.simplex(self.cell, &table.orders()[self.order]);
-        let affine = |at: &dyn Fn([usize; AXIS_COUNT]) -> f64| {
-            let first = Interval::point(at(nodes[0]));
-            let mut form = AffineForm::constant(first);
-            for (symbol, &node) in nodes[1..].iter().enumerate() {
-                let share = AffineForm::symbol(symbol, self.shares[symbol]);
-                form.add_scaled(&share, Interval::point(at(node)) - first);
-            }
-            form
-        };
-        let height = affine(&|node| table.node_height(node));
-        let of_axis =
-            std::array::from_fn(|axis| affine(&|node| table.axes()[axis].node(node[axis])));
-        (
-            height.plus(&AffineForm::symbol(AXIS_COUNT, self.above_m)),
-            of_axis,
-        )
+        let height = self.interpolate(&nodes, |node| table.node_height(node));
+        PartForms {
+            gap: height.plus(&AffineForm::symbol(AXIS_COUNT, self.above_m)),
+            of_axis: std::array::from_fn(|axis| {
+                self.interpolate(&nodes, |node| table.axes()[axis].node(node[axis]))
+            }),
+        }
+    }
+
+    /// Returns an affine function with the stated values at the nodes, as a form in the shares.
+    fn interpolate(
+        &self,
+        nodes: &[[usize; AXIS_COUNT]],
+        value_at: impl Fn([usize; AXIS_COUNT]) -> f64,
+    ) -> AffineForm {
+        let first = Interval::point(value_at(nodes[0]));
+        let mut form = AffineForm::constant(first);
+        for (symbol, &node) in nodes[1..].iter().enumerate() {
+            let share = AffineForm::symbol(symbol, self.shares[symbol]);
+            form.add_scaled(&share, Interval::point(value_at(node)) - first);
+        }
+        form
     }
 
     fn ranges(&self, table: &HeightTable) -> PartRanges {
-        let (_, forms) = self.forms(table);
-        let of_axis = |axis: usize| {
-            clip(
-                forms[axis].range(),
-                table.axes()[axis].cell(self.cell[axis]),
-            )
-        };
+        let forms = self.forms(table).of_axis;
         PartRanges {
-            of_axis: std::array::from_fn(of_axis),
+            of_axis: std::array::from_fn(|axis| {
+                clip(
+                    forms[axis].range(),
+                    table.axes()[axis].cell(self.cell[axis]),
+                )
+            }),
             closing: forms[0].clone().minus(&forms[1]).range(),
         }
     }
 
     /// Returns both halves of one share, or of the height above if there is no such share.
     fn halves(&self, share: Option<usize>) -> Vec<Self> {
-        let with = |half: Interval| {
-            let mut part = self.clone();
-            *share.map_or(&mut part.above_m, |share| &mut part.shares[share]) = half;
-            part
-        };
         halves(share.map_or(self.above_m, |share| self.shares[share]))
-            .map(with)
+            .map(|half| {
+                let mut part = self.clone();
+                *share.map_or(&mut part.above_m, |share| &mut part.shares[share]) = half;
+                part
+            })
             .collect()
     }
 }

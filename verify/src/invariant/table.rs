@@ -77,11 +77,10 @@ impl TableAxis {
         let Some(last) = (self.cells as usize).checked_sub(1) else {
             return [0, 0];
         };
-        let guess = |value: f64| {
+        let [mut first, mut end] = [part.low(), part.high()].map(|value| {
             let share = (value - self.low) / (self.high - self.low);
             ((share * f64::from(self.cells)).max(0.0) as usize).min(last)
-        };
-        let (mut first, mut end) = (guess(part.low()), guess(part.high()));
+        });
         while first > 0 && self.node(first) > part.low() {
             first -= 1;
         }
@@ -97,6 +96,16 @@ impl TableAxis {
         [first, end.max(first)]
     }
 
+    fn inverse_widths(self) -> Vec<Interval> {
+        (0..self.cells as usize)
+            .map(|index| {
+                let width =
+                    Interval::point(self.node(index + 1)) - Interval::point(self.node(index));
+                Interval::ONE.over(width)
+            })
+            .collect()
+    }
+
     fn is_valid(self) -> bool {
         let is_one = self.cells == 0 && self.low == self.high;
         let increases =
@@ -106,6 +115,10 @@ impl TableAxis {
             && self.cells <= MAX_AXIS_CELLS
             && (is_one || increases())
     }
+}
+
+fn invalid_heights(problem: &'static str) -> Rejection {
+    Rejection::invalid("table.heights", problem)
 }
 
 /// The heights of all nodes; the last axis varies fastest.
@@ -136,13 +149,7 @@ impl HeightTable {
         if nodes > MAX_NODES {
             return Err(Rejection::invalid("table", "has too many nodes"));
         }
-        let inverse = |axis: TableAxis| {
-            let width =
-                |index| Interval::point(axis.node(index + 1)) - Interval::point(axis.node(index));
-            (0..axis.cells as usize)
-                .map(|index| Interval::ONE.over(width(index)))
-                .collect()
-        };
+
         let order: Vec<usize> = (0..AXIS_COUNT)
             .filter(|&axis| axes[axis].cells > 0)
             .collect();
@@ -151,7 +158,7 @@ impl HeightTable {
         Ok(Self {
             axes,
             heights: vec![height_m; nodes],
-            inverse_widths: axes.map(inverse),
+            inverse_widths: axes.map(TableAxis::inverse_widths),
             orders,
         })
     }
@@ -164,23 +171,27 @@ impl HeightTable {
         axes: [TableAxis; AXIS_COUNT],
         runs: &[ConstantPiece<i64>],
     ) -> Result<Self, Rejection> {
-        let wrong = |problem| Err(Rejection::invalid("table.heights", problem));
         let mut table = Self::new(axes, 0.0)?;
-        let (mut height, mut filled) = (0_i64, 0_usize);
+        let mut height = 0_i64;
+        let mut filled = 0_usize;
         for (index, &ConstantPiece(count, change)) in runs.iter().enumerate() {
             if count == 0 || index > 0 && runs[index - 1].1 == change {
-                return wrong("has an empty run, or two runs that are one");
+                return Err(invalid_heights(
+                    "has an empty run, or two runs that are one",
+                ));
             }
             let Some(part) = table
                 .heights
                 .get_mut(filled..filled.saturating_add(count as usize))
             else {
-                return wrong("has more heights than the table has nodes");
+                return Err(invalid_heights("has more heights than the table has nodes"));
             };
             for to in part {
                 height = height.saturating_add(change);
                 if !(1..=MAX_HEIGHT).contains(&height) {
-                    return wrong("has a height that is not positive, or too large");
+                    return Err(invalid_heights(
+                        "has a height that is not positive, or too large",
+                    ));
                 }
                 *to = height as f64 * HEIGHT_UNIT_M;
             }
@@ -189,14 +200,17 @@ impl HeightTable {
         if filled == table.heights.len() {
             Ok(table)
         } else {
-            wrong("has fewer heights than the table has nodes")
+            Err(invalid_heights(
+                "has fewer heights than the table has nodes",
+            ))
         }
     }
 
     /// Returns the heights as runs: a number of nodes, and the difference of each to the node before, in units.
     #[must_use]
     pub fn to_runs(&self) -> Vec<ConstantPiece<i64>> {
-        let (mut runs, mut before) = (Vec::<ConstantPiece<i64>>::new(), 0_i64);
+        let mut runs = Vec::<ConstantPiece<i64>>::new();
+        let mut before = 0_i64;
         for height_m in &self.heights {
             let height = (height_m / HEIGHT_UNIT_M).round() as i64;
             match runs.last_mut() {
@@ -254,10 +268,10 @@ impl HeightTable {
     /// Returns the smallest and the largest height, in metres.
     #[must_use]
     pub fn extremes(&self) -> [f64; 2] {
-        let all = || self.heights.iter().copied();
+        let heights = self.heights.iter().copied();
         [
-            all().fold(f64::INFINITY, f64::min),
-            all().fold(0.0, f64::max),
+            heights.clone().fold(f64::INFINITY, f64::min),
+            heights.fold(0.0, f64::max),
         ]
     }
 
@@ -280,7 +294,8 @@ impl HeightTable {
         order: &[usize],
     ) -> [Interval; AXIS_COUNT] {
         let mut slopes = [Interval::ZERO; AXIS_COUNT];
-        let (mut node, mut height_m) = (cell, self.node_height(cell));
+        let mut node = cell;
+        let mut height_m = self.node_height(cell);
         for &axis in order {
             node[axis] += 1;
             let next_m = self.node_height(node);
@@ -291,6 +306,24 @@ impl HeightTable {
             height_m = next_m;
         }
         slopes
+    }
+
+    /// Returns an upper bound of the height of the plane of a simplex at a state, in metres.
+    fn plane_height(
+        &self,
+        cell: [usize; AXIS_COUNT],
+        order: &[usize],
+        state: [f64; AXIS_COUNT],
+    ) -> f64 {
+        let slopes = self.slopes(cell, order);
+        let base = Interval::point(self.node_height(cell));
+        order
+            .iter()
+            .fold(base, |sum, &axis| {
+                let node = self.axes[axis].node(cell[axis]);
+                sum + slopes[axis] * (Interval::point(state[axis]) - Interval::point(node))
+            })
+            .high()
     }
 
     /// Returns an upper bound of the height at a state, in metres; `None` outside the table.
@@ -306,17 +339,6 @@ impl HeightTable {
         }
         let cell =
             std::array::from_fn(|axis| self.axes[axis].cells_of(Interval::point(state[axis]))[0]);
-        let base = Interval::point(self.node_height(cell));
-        let linear = |order: &Vec<usize>| {
-            let slopes = self.slopes(cell, order);
-            let along = |axis: usize| {
-                Interval::point(state[axis]) - Interval::point(self.axes[axis].node(cell[axis]))
-            };
-            order
-                .iter()
-                .fold(base, |sum, &axis| sum + slopes[axis] * along(axis))
-                .high()
-        };
         let nodes = self
             .orders
             .iter()
@@ -327,7 +349,7 @@ impl HeightTable {
         let highest_m = self
             .orders
             .iter()
-            .map(linear)
+            .map(|order| self.plane_height(cell, order, state))
             .fold(f64::NEG_INFINITY, f64::max);
         Some(highest_m.min(highest_node_m))
     }

@@ -74,7 +74,7 @@ fn cases_with_values(
 }
 
 #[test]
-fn each_case_speaks_of_the_motion() {
+fn each_proof_case_equals_the_shortfall_of_the_motion() {
     let values = ["0", "1/3", "1", "7/4", "5"].map(rational);
     for (b, c) in [
         ("15/2", "6"),
@@ -104,7 +104,7 @@ fn each_case_speaks_of_the_motion() {
 }
 
 #[test]
-fn terms_that_must_vanish_need_more_than_positivity() {
+fn terms_that_must_be_zero_are_not_only_nonnegative() {
     let one = Polynomial::constant(&rational("1"));
     let nothing = &one - &one;
     assert!(

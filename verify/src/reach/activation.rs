@@ -23,7 +23,9 @@
 
 use super::controller::{TANH_ERROR, UNIT_ROUNDOFF};
 use super::form::AffineForm;
-use super::relax::{elu_relaxation, linear_enclosure, relu_relaxation, tanh_relaxation};
+use super::relax::{
+    LinearBound, elu_relaxation, linear_enclosure, relu_excess, relu_slope, tanh_relaxation,
+};
 use crate::interval::Interval;
 
 /// Largest error of the single-precision 1/(1 + e⁻ˣ).
@@ -84,6 +86,15 @@ impl LinearRelaxation {
             low: value,
             high: value,
             rounding: 0.0,
+        }
+    }
+
+    fn from_bound(bound: LinearBound, rounding: f64) -> Self {
+        Self {
+            slope: bound.slope,
+            low: bound.deviation.low(),
+            high: bound.deviation.high(),
+            rounding,
         }
     }
 
@@ -153,20 +164,15 @@ impl Activation {
 
     /// Bounds the magnitude of the result for magnitudes up to `bound`.
     pub(super) fn max_magnitude(&self, number: usize, bound: f64) -> f64 {
-        let of = |operands: &[f64]| {
-            operands
-                .get(number)
-                .map_or(f64::NAN, |operand| operand.abs())
-        };
         match self {
             Self::Relu => bound,
             Self::LeakyRelu(slope) => bound * slope.abs().max(1.0),
             Self::Elu(alpha) => bound.max(alpha.abs()),
             Self::Tanh | Self::Sigmoid => 1.0,
-            Self::Add(operands) => bound + of(operands),
-            Self::Multiply(operands) => bound * of(operands),
-            Self::Divide(operands) => bound / of(operands),
-            Self::Clip { low, high } => of(low).max(of(high)),
+            Self::Add(operands) => bound + operand(operands, number).abs(),
+            Self::Multiply(operands) => bound * operand(operands, number).abs(),
+            Self::Divide(operands) => bound / operand(operands, number).abs(),
+            Self::Clip { low, high } => operand(low, number).abs().max(operand(high, number).abs()),
         }
     }
 
@@ -180,7 +186,6 @@ impl Activation {
 
     /// True if a narrower range could tighten the line.
     pub(super) fn is_nonlinear_on(&self, number: usize, low: f64, high: f64) -> bool {
-        let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
         match self {
             Self::Relu | Self::LeakyRelu(_) => low < 0.0 && high > 0.0,
             Self::Elu(_) => low < 0.0,
@@ -190,7 +195,8 @@ impl Activation {
                 low: least,
                 high: most,
             } => {
-                let (least, most) = (of(least), of(most));
+                let least = operand(least, number);
+                let most = operand(most, number);
                 !(least <= low && high <= most || high <= least || low >= most)
             }
         }
@@ -198,134 +204,148 @@ impl Activation {
 
     /// Returns the line of number `number` over [`low`, `high`].
     pub(super) fn relaxation(&self, number: usize, low: f64, high: f64) -> LinearRelaxation {
-        let of = |operands: &[f64]| operands.get(number).copied().unwrap_or(f64::NAN);
         let largest = low.abs().max(high.abs());
         match self {
-            Self::Relu if low >= 0.0 => LinearRelaxation::IDENTITY,
-            Self::Relu if high <= 0.0 => LinearRelaxation::new_constant(0.0),
-            Self::Relu => {
-                let (slope, excess) = relu_relaxation(low, high);
-                LinearRelaxation {
-                    slope,
-                    low: 0.0,
-                    high: excess,
-                    rounding: 0.0,
-                }
-            }
+            Self::Relu => relax_relu(low, high),
             Self::LeakyRelu(_) | Self::Elu(_) if low >= 0.0 => LinearRelaxation::IDENTITY,
-            Self::LeakyRelu(slope) => {
-                let below = |x: f64| (x, Interval::point(*slope) * Interval::point(x));
-                let above = |x: f64| (x, Interval::point(x));
-                let ends = [slope.min(1.0), slope.max(1.0)];
-                let line = if high <= 0.0 {
-                    LinearRelaxation {
-                        slope: *slope,
-                        low: 0.0,
-                        high: 0.0,
-                        rounding: 0.0,
-                    }
-                } else {
-                    LinearRelaxation::from_breakpoints(&[below(low), above(0.0), above(high)], ends)
-                };
-                let rounding = if *slope == 0.0 {
-                    0.0
-                } else {
-                    rounding_error(slope.abs() * -low) + UNDERFLOW
-                };
-                LinearRelaxation { rounding, ..line }
-            }
-            Self::Elu(alpha) => {
-                let (slope, off) = elu_relaxation(*alpha, low, high);
-                let rounding = alpha.abs() * ELU_ERROR + UNDERFLOW;
-                LinearRelaxation {
-                    slope,
-                    low: off.low(),
-                    high: off.high(),
-                    rounding,
-                }
-            }
-            Self::Tanh => {
-                let (slope, off) = tanh_relaxation(low, high);
-                LinearRelaxation {
-                    slope,
-                    low: off.low(),
-                    high: off.high(),
-                    rounding: TANH_ERROR,
-                }
-            }
-            Self::Sigmoid => {
-                // Halves and quarters are exact, but for an underflow that is much smaller than the rounding.
-                let (slope, off) = tanh_relaxation(0.5 * low, 0.5 * high);
-                let off = Interval::point(0.5) + off * Interval::point(0.5);
-                LinearRelaxation {
-                    slope: 0.25 * slope,
-                    low: off.low(),
-                    high: off.high(),
-                    rounding: SIGMOID_ERROR,
-                }
-            }
-            Self::Add(operands) => {
-                let a = of(operands);
-                LinearRelaxation {
-                    slope: 1.0,
-                    low: a,
-                    high: a,
-                    rounding: rounding_error(largest + a.abs()),
-                }
-            }
-            Self::Multiply(operands) => {
-                let a = of(operands);
-                LinearRelaxation {
-                    slope: a,
-                    low: 0.0,
-                    high: 0.0,
-                    rounding: rounding_error(largest * a.abs()) + UNDERFLOW,
-                }
-            }
-            Self::Divide(operands) => {
-                let slope = 1.0 / of(operands);
-                let size = largest * slope.abs();
-                let off = size * (2.0 * f64::EPSILON);
-                LinearRelaxation {
-                    slope,
-                    low: -off,
-                    high: off,
-                    rounding: rounding_error(size) + UNDERFLOW,
-                }
-            }
+            Self::LeakyRelu(slope) => relax_leaky_relu(*slope, low, high),
+            Self::Elu(alpha) => LinearRelaxation::from_bound(
+                elu_relaxation(*alpha, low, high),
+                alpha.abs() * ELU_ERROR + UNDERFLOW,
+            ),
+            Self::Tanh => LinearRelaxation::from_bound(tanh_relaxation(low, high), TANH_ERROR),
+            Self::Sigmoid => relax_sigmoid(low, high),
+            Self::Add(operands) => relax_sum(operand(operands, number), largest),
+            Self::Multiply(operands) => relax_product(operand(operands, number), largest),
+            Self::Divide(operands) => relax_quotient(operand(operands, number), largest),
             Self::Clip {
                 low: least,
                 high: most,
-            } => {
-                let (least, most) = (of(least), of(most));
-                if low >= least && high <= most {
-                    return LinearRelaxation::IDENTITY;
-                }
-                let cut = |x: f64| {
-                    if x < least {
-                        least
-                    } else if x > most {
-                        most
-                    } else {
-                        x
-                    }
-                };
-                if high <= least || low >= most {
-                    return LinearRelaxation::new_constant(cut(low));
-                }
-                let kinks = [least, most]
-                    .into_iter()
-                    .filter(|&kink| low < kink && kink < high);
-                let places = std::iter::once(low).chain(kinks).chain([high]);
-                let points: Vec<_> = places.map(|x| (x, Interval::point(cut(x)))).collect();
-                LinearRelaxation::from_breakpoints(&points, [0.0, 1.0])
-            }
+            } => relax_clip([operand(least, number), operand(most, number)], [low, high]),
         }
     }
 
     pub(super) fn apply(&self, number: usize, x: &AffineForm) -> AffineForm {
         let range = x.range();
         self.relaxation(number, range.low(), range.high()).apply(x)
+    }
+}
+
+/// Returns the operand of one number, NaN if there is none.
+fn operand(operands: &[f64], number: usize) -> f64 {
+    operands.get(number).copied().unwrap_or(f64::NAN)
+}
+
+fn relax_relu(low: f64, high: f64) -> LinearRelaxation {
+    if low >= 0.0 {
+        return LinearRelaxation::IDENTITY;
+    }
+    if high <= 0.0 {
+        return LinearRelaxation::new_constant(0.0);
+    }
+    let slope = relu_slope(low, high);
+    LinearRelaxation {
+        slope,
+        low: 0.0,
+        high: relu_excess(slope, low, high),
+        rounding: 0.0,
+    }
+}
+
+/// Relaxes the leaky ReLU with the slope `leak` below 0, for `low` < 0.
+fn relax_leaky_relu(leak: f64, low: f64, high: f64) -> LinearRelaxation {
+    let line = if high <= 0.0 {
+        LinearRelaxation {
+            slope: leak,
+            low: 0.0,
+            high: 0.0,
+            rounding: 0.0,
+        }
+    } else {
+        let points = [
+            (low, Interval::point(leak) * Interval::point(low)),
+            (0.0, Interval::ZERO),
+            (high, Interval::point(high)),
+        ];
+        LinearRelaxation::from_breakpoints(&points, [leak.min(1.0), leak.max(1.0)])
+    };
+    let rounding = if leak == 0.0 {
+        0.0
+    } else {
+        rounding_error(leak.abs() * -low) + UNDERFLOW
+    };
+    LinearRelaxation { rounding, ..line }
+}
+
+fn relax_sigmoid(low: f64, high: f64) -> LinearRelaxation {
+    // Halves and quarters are exact, but for an underflow that is much smaller than the rounding.
+    let bound = tanh_relaxation(0.5 * low, 0.5 * high);
+    let bound = LinearBound {
+        slope: 0.25 * bound.slope,
+        deviation: Interval::point(0.5) + bound.deviation * Interval::point(0.5),
+    };
+    LinearRelaxation::from_bound(bound, SIGMOID_ERROR)
+}
+
+/// Relaxes x + a for magnitudes of x up to `largest`.
+fn relax_sum(a: f64, largest: f64) -> LinearRelaxation {
+    LinearRelaxation {
+        slope: 1.0,
+        low: a,
+        high: a,
+        rounding: rounding_error(largest + a.abs()),
+    }
+}
+
+/// Relaxes x a for magnitudes of x up to `largest`.
+fn relax_product(a: f64, largest: f64) -> LinearRelaxation {
+    LinearRelaxation {
+        slope: a,
+        low: 0.0,
+        high: 0.0,
+        rounding: rounding_error(largest * a.abs()) + UNDERFLOW,
+    }
+}
+
+/// Relaxes x / a for magnitudes of x up to `largest`.
+fn relax_quotient(a: f64, largest: f64) -> LinearRelaxation {
+    let slope = 1.0 / a;
+    let size = largest * slope.abs();
+    let slope_error = size * (2.0 * f64::EPSILON);
+    LinearRelaxation {
+        slope,
+        low: -slope_error,
+        high: slope_error,
+        rounding: rounding_error(size) + UNDERFLOW,
+    }
+}
+
+/// Relaxes x clipped to [`least`, `most`], for x in [`low`, `high`].
+fn relax_clip([least, most]: [f64; 2], [low, high]: [f64; 2]) -> LinearRelaxation {
+    if low >= least && high <= most {
+        return LinearRelaxation::IDENTITY;
+    }
+    if high <= least || low >= most {
+        return LinearRelaxation::new_constant(clip_number(low, least, most));
+    }
+    let kinks = [least, most]
+        .into_iter()
+        .filter(|&kink| low < kink && kink < high);
+    let points: Vec<_> = std::iter::once(low)
+        .chain(kinks)
+        .chain([high])
+        .map(|x| (x, Interval::point(clip_number(x, least, most))))
+        .collect();
+    LinearRelaxation::from_breakpoints(&points, [0.0, 1.0])
+}
+
+fn clip_number(x: f64, least: f64, most: f64) -> f64 {
+    if x < least {
+        least
+    } else if x > most {
+        most
+    } else {
+        x
     }
 }
 

@@ -1,6 +1,6 @@
 //! Bounds of the numbers between the layers of a network: see [`controller`](super::controller).
 
-use super::activation::Activation;
+use super::activation::{Activation, LinearRelaxation};
 use super::controller::{LinearLayer, UNIT_ROUNDOFF};
 use super::form::{AffineForm, SUM_REL_ERROR, round_up};
 use crate::interval::Interval;
@@ -10,6 +10,14 @@ pub(super) struct InputForms {
     terms: Vec<f64>,
     rest: Vec<f64>,
     radius: Vec<f64>,
+}
+
+/// Radii of all numbers before an activation or a product.
+struct NumberRadii {
+    /// The largest |Σ Λᵢ (yᵢ - middle)| for uncorrelated yᵢ.
+    of_inputs: Vec<f64>,
+    /// The largest |Σ Eⱼ ηⱼ|.
+    of_excess: Vec<f64>,
 }
 
 /// The Λᵢ and Eⱼ of all numbers, the middles, and ρ.
@@ -29,17 +37,13 @@ impl InputForms {
             .map(|form| form.terms().len())
             .max()
             .unwrap_or(0);
-        let row = |form: &AffineForm| {
-            form.terms()
-                .iter()
-                .copied()
-                .chain(std::iter::repeat(0.0))
-                .take(symbols)
-                .collect::<Vec<_>>()
-        };
+        let terms = inputs.iter().flat_map(|form| {
+            let padding = std::iter::repeat(0.0);
+            form.terms().iter().copied().chain(padding).take(symbols)
+        });
         Self {
             symbol_count: symbols,
-            terms: inputs.iter().flat_map(row).collect(),
+            terms: terms.collect(),
             rest: inputs.iter().map(AffineForm::rest).collect(),
             radius: inputs.iter().map(AffineForm::radius).collect(),
         }
@@ -68,9 +72,10 @@ impl InputForms {
 impl NetworkBounds {
     pub(super) fn from_inputs(inputs: &[AffineForm]) -> Self {
         let count = inputs.len();
-        let identity = |i: usize| (0..count).map(move |number| f64::from(u8::from(i == number)));
+        let identity =
+            (0..count).flat_map(|i| (0..count).map(move |number| f64::from(u8::from(i == number))));
         Self {
-            columns: (0..count).flat_map(identity).collect(),
+            columns: identity.collect(),
             centre: inputs.iter().map(AffineForm::centre).collect(),
             rho: vec![0.0; count],
             excess: Vec::new(),
@@ -87,60 +92,52 @@ impl NetworkBounds {
         alive * layer.outputs as u64 * (width + 2) + 1000
     }
 
-    /// Returns for each number the largest |Σ Λᵢ (yᵢ - middle)| for uncorrelated yᵢ, and the largest |Σ Eⱼ ηⱼ|.
-    fn radii(&self, inputs: &InputForms) -> (Vec<f64>, Vec<f64>) {
+    fn radii(&self, inputs: &InputForms) -> NumberRadii {
         let numbers = self.centre.len();
-        let (mut apart, mut own) = (vec![0.0; numbers], vec![0.0; numbers]);
+        let mut of_inputs = vec![0.0; numbers];
+        let mut of_excess = vec![0.0; numbers];
         for (index, column) in self.columns.chunks_exact(numbers.max(1)).enumerate() {
             match inputs.radius.get(index) {
-                Some(radius) => apart
+                Some(radius) => of_inputs
                     .iter_mut()
                     .zip(column)
                     .for_each(|(sum, slope)| *sum += radius * slope.abs()),
-                None => own
+                None => of_excess
                     .iter_mut()
                     .zip(column)
                     .for_each(|(sum, term)| *sum += term.abs()),
             }
         }
-        (apart, own)
+        NumberRadii {
+            of_inputs,
+            of_excess,
+        }
     }
 
     /// Computes h W + b with the rounding of single and double precision.
     pub(super) fn apply_linear(&self, layer: &LinearLayer, inputs: &InputForms) -> Self {
-        let (n, numbers, outputs) = (
-            layer.inputs as f64 + 2.0,
-            self.centre.len(),
-            layer.outputs.max(1),
-        );
-        let relative =
-            n * UNIT_ROUNDOFF / (1.0 - n * UNIT_ROUNDOFF) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
+        let numbers = self.centre.len();
+        let outputs = layer.outputs.max(1);
+        let relative = relative_sum_error(layer.inputs);
         let width = self.column_count();
-        let (apart, own) = self.radii(inputs);
+        let radii = self.radii(inputs);
         let mut columns = vec![0.0; outputs * (width + self.excess.len())];
         let (dense, sparse) = columns.split_at_mut(outputs * width);
         let mut sparse = sparse.chunks_exact_mut(outputs);
         let mut centre = layer.biases.clone();
+        let underflow = (layer.inputs as f64 + 2.0) * 1e-44;
         let mut rho: Vec<f64> = layer
             .biases
             .iter()
-            .map(|bias| bias.abs() * relative + n * 1e-44)
+            .map(|bias| bias.abs() * relative + underflow)
             .collect();
         let mut excess = self.excess.iter().peekable();
-        for (input, weights) in layer
-            .weights
-            .chunks_exact(outputs)
-            .take(numbers)
-            .enumerate()
-        {
+        let rows = layer.weights.chunks_exact(outputs).take(numbers);
+        for (input, weights) in rows.enumerate() {
             let new = excess
                 .next_if(|(number, _)| *number == input)
                 .map(|(_, radius)| *radius);
-            let size = self.centre[input].abs()
-                + apart[input]
-                + own[input]
-                + new.unwrap_or(0.0)
-                + self.rho[input];
+            let size = self.magnitude(input, &radii, new.unwrap_or(0.0));
             if size == 0.0 {
                 continue;
             }
@@ -149,14 +146,7 @@ impl NetworkBounds {
             rho.iter_mut()
                 .zip(weights)
                 .for_each(|(rho, weight)| *rho += weight.abs() * share);
-            for (to, from) in dense
-                .chunks_exact_mut(outputs)
-                .zip(self.columns.chunks_exact(numbers))
-            {
-                if from[input] != 0.0 {
-                    add_scaled(to, weights, from[input]);
-                }
-            }
+            self.add_column_products(dense, weights, input);
             if let Some(radius) = new
                 && let Some(to) = sparse.next()
             {
@@ -173,50 +163,90 @@ impl NetworkBounds {
         }
     }
 
-    pub(super) fn apply_activation(&mut self, each: &Activation, inputs: &InputForms) {
+    /// Returns the largest magnitude of a number, with an excess that is not yet in columns.
+    fn magnitude(&self, number: usize, radii: &NumberRadii, excess: f64) -> f64 {
+        self.centre[number].abs()
+            + radii.of_inputs[number]
+            + radii.of_excess[number]
+            + excess
+            + self.rho[number]
+    }
+
+    /// Adds the product of one number in each column with its weights to the columns of the outputs.
+    fn add_column_products(&self, to: &mut [f64], weights: &[f64], number: usize) {
+        for (to, from) in to
+            .chunks_exact_mut(weights.len())
+            .zip(self.columns.chunks_exact(self.centre.len()))
+        {
+            if from[number] != 0.0 {
+                add_scaled(to, weights, from[number]);
+            }
+        }
+    }
+
+    pub(super) fn apply_activation(&mut self, activation: &Activation, inputs: &InputForms) {
         self.append_excess_columns();
-        let numbers = self.centre.len();
-        let (apart, own) = self.radii(inputs);
+        let radii = self.radii(inputs);
         let mut slopes = vec![0.0; inputs.radius.len()];
-        for number in 0..numbers {
-            let within = |by: f64| {
-                let radius =
-                    round_up((by + own[number] + self.rho[number]) * (1.0 + SUM_REL_ERROR));
-                (
-                    (self.centre[number] - radius).next_down(),
-                    (self.centre[number] + radius).next_up(),
-                )
-            };
-            let (mut low, mut high) = within(apart[number]);
-            if each.is_nonlinear_on(number, low, high) {
-                let of_number = self.columns.iter().skip(number).step_by(numbers);
-                slopes
-                    .iter_mut()
-                    .zip(of_number)
-                    .for_each(|(to, from)| *to = *from);
-                (low, high) = within(inputs.max_linear_part(&slopes, apart[number]));
+        for number in 0..self.centre.len() {
+            let line = self.relax(activation, number, &radii, inputs, &mut slopes);
+            if !line.is_identity() {
+                self.apply_line(&line, number, &radii);
             }
-            let line = each.relaxation(number, low, high);
-            if line.is_identity() {
-                continue;
-            }
-            let slope = line.slope;
-            for factor in self.columns.iter_mut().skip(number).step_by(numbers) {
-                *factor = if slope == 0.0 { 0.0 } else { *factor * slope };
-            }
-            if line.is_constant() {
-                (self.centre[number], self.rho[number]) = (line.low, 0.0);
-                continue;
-            }
-            let (middle, radius) = line.middle_and_radius();
-            let size =
-                (self.centre[number].abs() + apart[number] + own[number]) * slope.abs().max(1.0);
-            let rounding = SUM_REL_ERROR * (size + middle.abs() + radius) + line.rounding;
-            self.centre[number] = self.centre[number] * slope + middle;
-            self.rho[number] = round_up(self.rho[number] * slope.abs() + rounding);
-            if radius > 0.0 {
-                self.excess.push((number, round_up(radius)));
-            }
+        }
+    }
+
+    /// Returns the line of an activation over the range of a number. Overwrites `slopes`.
+    fn relax(
+        &self,
+        activation: &Activation,
+        number: usize,
+        radii: &NumberRadii,
+        inputs: &InputForms,
+        slopes: &mut [f64],
+    ) -> LinearRelaxation {
+        let apart = radii.of_inputs[number];
+        let [low, high] = self.range(number, apart + radii.of_excess[number]);
+        if !activation.is_nonlinear_on(number, low, high) {
+            return activation.relaxation(number, low, high);
+        }
+        let of_number = self.columns.iter().skip(number).step_by(self.centre.len());
+        slopes
+            .iter_mut()
+            .zip(of_number)
+            .for_each(|(to, from)| *to = *from);
+        let correlated = inputs.max_linear_part(slopes, apart);
+        let [low, high] = self.range(number, correlated + radii.of_excess[number]);
+        activation.relaxation(number, low, high)
+    }
+
+    /// Returns the range of a number with this radius, without ρ.
+    fn range(&self, number: usize, radius: f64) -> [f64; 2] {
+        let radius = round_up((radius + self.rho[number]) * (1.0 + SUM_REL_ERROR));
+        [
+            (self.centre[number] - radius).next_down(),
+            (self.centre[number] + radius).next_up(),
+        ]
+    }
+
+    fn apply_line(&mut self, line: &LinearRelaxation, number: usize, radii: &NumberRadii) {
+        let numbers = self.centre.len();
+        let slope = line.slope;
+        for factor in self.columns.iter_mut().skip(number).step_by(numbers) {
+            *factor = if slope == 0.0 { 0.0 } else { *factor * slope };
+        }
+        if line.is_constant() {
+            (self.centre[number], self.rho[number]) = (line.low, 0.0);
+            return;
+        }
+        let (middle, radius) = line.middle_and_radius();
+        let size = (self.centre[number].abs() + radii.of_inputs[number] + radii.of_excess[number])
+            * slope.abs().max(1.0);
+        let rounding = SUM_REL_ERROR * (size + middle.abs() + radius) + line.rounding;
+        self.centre[number] = self.centre[number] * slope + middle;
+        self.rho[number] = round_up(self.rho[number] * slope.abs() + rounding);
+        if radius > 0.0 {
+            self.excess.push((number, round_up(radius)));
         }
     }
 
@@ -233,7 +263,8 @@ impl NetworkBounds {
     /// Returns one number as a form in the symbols of the inputs, or `None` if it does not exist.
     pub(super) fn into_form(mut self, number: usize, inputs: &[AffineForm]) -> Option<AffineForm> {
         self.append_excess_columns();
-        let (centre, rho) = (*self.centre.get(number)?, *self.rho.get(number)?);
+        let centre = *self.centre.get(number)?;
+        let rho = *self.rho.get(number)?;
         let mut form = AffineForm::constant(Interval::point(centre));
         let mut factors = self
             .columns
@@ -248,6 +279,12 @@ impl NetworkBounds {
         form.widen((factors.map(f64::abs).sum::<f64>() + rho) * (1.0 + SUM_REL_ERROR));
         Some(form)
     }
+}
+
+/// Returns the relative error of a sum of products with so many inputs and a bias, in single and double precision.
+fn relative_sum_error(inputs: usize) -> f64 {
+    let n = inputs as f64 + 2.0;
+    n * UNIT_ROUNDOFF / (1.0 - n * UNIT_ROUNDOFF) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR
 }
 
 fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {

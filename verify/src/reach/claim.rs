@@ -175,31 +175,21 @@ impl Claim for ReachClaim {
         } else {
             0.0
         };
-        let stated = [
-            (
-                "verified_share_at_least",
-                self.verified_share_at_least,
-                verified_share + tolerance,
-            ),
-            (
-                "falsified_share_at_least",
-                self.falsified_share_at_least,
-                falsified_share + tolerance,
-            ),
-            (
-                "min_gap_m_at_least",
-                self.min_gap_m_at_least,
-                smallest_gap_m,
-            ),
-        ];
-        let is_more = |(_, stated, found): &&(_, f64, f64)| {
-            stated
-                .partial_cmp(found)
-                .is_none_or(std::cmp::Ordering::is_gt)
-        };
-        if let Some((field, ..)) = stated.iter().find(is_more) {
-            return Err(Rejection::invalid(*field, "exceeds the proved value"));
-        }
+        check_stated(
+            "verified_share_at_least",
+            self.verified_share_at_least,
+            verified_share + tolerance,
+        )?;
+        check_stated(
+            "falsified_share_at_least",
+            self.falsified_share_at_least,
+            falsified_share + tolerance,
+        )?;
+        check_stated(
+            "min_gap_m_at_least",
+            self.min_gap_m_at_least,
+            smallest_gap_m,
+        )?;
         Ok(ProvedClaim::Reach {
             verified_share,
             falsified_share,
@@ -224,12 +214,31 @@ impl ReachClaim {
         &self,
         controller: &'a NeuralController,
     ) -> Result<ReachProblem<'a>, Rejection> {
+        let decision_steps = self.decision_steps(controller.decision_interval_s)?;
+        self.check_initial_ranges()?;
+        self.check_limits()?;
+        self.check_unused_ranges()?;
+        Ok(ReachProblem {
+            controller,
+            ranges: self.ranges,
+            follower: self.follower_model()?,
+            leader_brakes_at_most_mps2: self.leader_brakes_at_most_mps2,
+            observation_error: self.observation_error,
+            step_s: self.step_s,
+            steps: self.steps,
+            decision_steps,
+            stop_when_undecided: true,
+        })
+    }
+
+    /// Returns the number of steps between two decisions.
+    fn decision_steps(&self, decision_interval_s: f64) -> Result<u32, Rejection> {
         if !(self.step_s > 0.0 && self.step_s.is_finite()) {
             return Err(Rejection::invalid("step_s", "must be positive"));
         }
-        let decision_steps = (controller.decision_interval_s / self.step_s).round();
+        let decision_steps = (decision_interval_s / self.step_s).round();
         if !(decision_steps >= 1.0
-            && (decision_steps * self.step_s - controller.decision_interval_s).abs() < 1e-9)
+            && (decision_steps * self.step_s - decision_interval_s).abs() < 1e-9)
         {
             return Err(Rejection::invalid(
                 "step_s",
@@ -243,12 +252,17 @@ impl ReachClaim {
             ));
         }
         let decision_steps = decision_steps as u32;
-        if !self.steps.is_multiple_of(decision_steps) {
-            return Err(Rejection::invalid(
+        if self.steps.is_multiple_of(decision_steps) {
+            Ok(decision_steps)
+        } else {
+            Err(Rejection::invalid(
                 "steps",
                 "must be whole decision intervals",
-            ));
+            ))
         }
+    }
+
+    fn check_initial_ranges(&self) -> Result<(), Rejection> {
         for dimension in BoxDimension::ALL {
             if self.ranges.get(dimension).low() < 0.0 {
                 return Err(Rejection::invalid(
@@ -257,6 +271,11 @@ impl ReachClaim {
                 ));
             }
         }
+        Ok(())
+    }
+
+    /// Checks the time to collision, braking limit and observation errors.
+    fn check_limits(&self) -> Result<(), Rejection> {
         let of_follower = self
             .follower_ttc_s
             .iter()
@@ -274,29 +293,23 @@ impl ReachClaim {
                 return Err(Rejection::invalid(field, "is negative or infinite"));
             }
         }
-        // Rate and onset have no meaning for a leader with bounded braking and must not suggest one.
-        let unused = [BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].into_iter();
-        let mut unused = unused.filter(|_| self.leader_brakes_at_most_mps2.is_some());
-        if let Some(dimension) =
-            unused.find(|&dimension| self.ranges.get(dimension) != Interval::ZERO)
-        {
-            let field = format!("ranges.{}", dimension.field_name());
-            return Err(Rejection::invalid(
-                field,
-                "must be 0 if the leader brakes arbitrarily",
-            ));
+        Ok(())
+    }
+
+    /// Checks that rate and onset, which have no meaning for a leader with bounded braking, do not suggest one.
+    fn check_unused_ranges(&self) -> Result<(), Rejection> {
+        if self.leader_brakes_at_most_mps2.is_none() {
+            return Ok(());
         }
-        Ok(ReachProblem {
-            controller,
-            ranges: self.ranges,
-            follower: self.follower_model()?,
-            leader_brakes_at_most_mps2: self.leader_brakes_at_most_mps2,
-            observation_error: self.observation_error,
-            step_s: self.step_s,
-            steps: self.steps,
-            decision_steps,
-            stop_when_undecided: true,
-        })
+        for dimension in [BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps] {
+            if self.ranges.get(dimension) != Interval::ZERO {
+                return Err(Rejection::invalid(
+                    format!("ranges.{}", dimension.field_name()),
+                    "must be 0 if the leader brakes arbitrarily",
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Returns the follower model.
@@ -330,30 +343,29 @@ impl ReachClaim {
     /// # Errors
     /// [`Rejection`] if the cuts do not make a partition.
     pub fn leaves(&self) -> Result<Vec<(PartitionCell, InitialRanges, f64)>, Rejection> {
-        let mut pending = vec![(self.ranges, 0, 1.0)];
+        let mut pending = vec![PendingCell {
+            ranges: self.ranges,
+            cuts: 0,
+            share: 1.0,
+        }];
         let mut leaves = Vec::new();
         if self.partition.len() > MAX_CELLS {
             return Err(Rejection::invalid("partition", "has too many cells"));
         }
         for (index, &cell) in self.partition.iter().enumerate() {
-            let invalid = |problem| Rejection::invalid(format!("partition[{index}]"), problem);
-            let (ranges, cuts, share) = pending
+            let next = pending
                 .pop()
-                .ok_or_else(|| invalid("is one cell more than the cuts create"))?;
+                .ok_or_else(|| invalid_cell(index, "is one cell more than the cuts create"))?;
             if let PartitionCell::Cut(dimension) = cell {
-                let [lower, upper] = ranges
-                    .bisect(dimension)
-                    .ok_or_else(|| invalid("cuts a range that is a single number"))?;
-                if cuts == MAX_CUTS {
-                    return Err(invalid("cuts too often"));
+                let [lower, upper] = next
+                    .cut(dimension)
+                    .ok_or_else(|| invalid_cell(index, "cuts a range that is a single number"))?;
+                if next.cuts == MAX_CUTS {
+                    return Err(invalid_cell(index, "cuts too often"));
                 }
-                let share_of = |half: &InitialRanges| {
-                    volume::part_share(share, half.get(dimension), ranges.get(dimension))
-                };
-                let shares = [&upper, &lower].map(share_of);
-                pending.extend([(upper, cuts + 1, shares[0]), (lower, cuts + 1, shares[1])]);
+                pending.extend([upper, lower]);
             } else {
-                leaves.push((cell, ranges, share));
+                leaves.push((cell, next.ranges, next.share));
             }
         }
         if pending.is_empty() {
@@ -361,6 +373,41 @@ impl ReachClaim {
         } else {
             Err(Rejection::invalid("partition", "ends too early"))
         }
+    }
+}
+
+/// A cell of the partition that is not read yet.
+struct PendingCell {
+    ranges: InitialRanges,
+    /// Number of cuts that created it.
+    cuts: usize,
+    /// Lower bound of its share of the box's volume.
+    share: f64,
+}
+
+impl PendingCell {
+    /// Returns the lower and the upper half, or `None` if the range is a single number.
+    fn cut(&self, dimension: BoxDimension) -> Option<[Self; 2]> {
+        let halves = self.ranges.bisect(dimension)?;
+        Some(halves.map(|half| Self {
+            ranges: half,
+            cuts: self.cuts + 1,
+            share: volume::part_share(self.share, half.get(dimension), self.ranges.get(dimension)),
+        }))
+    }
+}
+
+fn invalid_cell(index: usize, problem: &'static str) -> Rejection {
+    Rejection::invalid(format!("partition[{index}]"), problem)
+}
+
+/// Checks that a stated lower bound is at most the proved one.
+fn check_stated(field: &'static str, stated: f64, proved: f64) -> Result<(), Rejection> {
+    match stated.partial_cmp(&proved) {
+        None | Some(std::cmp::Ordering::Greater) => {
+            Err(Rejection::invalid(field, "exceeds the proved value"))
+        }
+        Some(_) => Ok(()),
     }
 }
 
@@ -374,18 +421,23 @@ fn check_leaves(
     let threads = cores
         .min(MAX_BYTES / scene.controller.max_decision_bytes().max(1))
         .max(1);
-    let judge = |(cell, ranges, _): &(PartitionCell, InitialRanges, f64)| {
-        check_leaf(scene, cell, ranges, work)
-    };
     std::thread::scope(|scope| {
-        let parts = leaves.chunks(leaves.len().div_ceil(threads).max(1));
-        let parts: Vec<_> = parts
-            .map(|part| scope.spawn(move || part.iter().map(judge).collect::<Vec<_>>()))
+        let parts: Vec<_> = leaves
+            .chunks(leaves.len().div_ceil(threads).max(1))
+            .map(|part| {
+                scope.spawn(move || {
+                    part.iter()
+                        .map(|(cell, ranges, _)| check_leaf(scene, cell, ranges, work))
+                        .collect::<Vec<_>>()
+                })
+            })
             .collect();
-        let died = || vec![Err("its check failed".to_owned())];
         parts
             .into_iter()
-            .flat_map(|part| part.join().unwrap_or_else(|_| died()))
+            .flat_map(|part| {
+                part.join()
+                    .unwrap_or_else(|_| vec![Err("its check failed".to_owned())])
+            })
             .collect()
     })
 }

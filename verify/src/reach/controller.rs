@@ -165,7 +165,7 @@ pub struct NativePolicy {
 
 impl From<NativePolicy> for NeuralController {
     fn from(own: NativePolicy) -> Self {
-        let input = |i: usize| ControllerInput {
+        let inputs = (0..OBSERVATION_SIZE).map(|i| ControllerInput {
             coefficients: std::array::from_fn(|j| f64::from(u8::from(i == j))),
             constant: 0.0,
             absent_value: None,
@@ -173,10 +173,10 @@ impl From<NativePolicy> for NeuralController {
             scale: own.scale[i],
             low: -own.limit,
             high: own.limit,
-        };
+        });
         let [low, high] = own.action_bounds_mps2;
         Self {
-            inputs: (0..OBSERVATION_SIZE).map(input).collect(),
+            inputs: inputs.collect(),
             layers: interleave_relu(own.layers)
                 .chain([NetworkLayer::Activation(Activation::Tanh)])
                 .collect(),
@@ -194,11 +194,10 @@ impl From<NativePolicy> for NeuralController {
 
 /// Returns layers with ReLUs between them.
 pub fn interleave_relu(layers: Vec<LinearLayer>) -> impl Iterator<Item = NetworkLayer> {
-    let rectified = |(index, layer)| {
+    layers.into_iter().enumerate().flat_map(|(index, layer)| {
         let rectifier = (index > 0).then_some(NetworkLayer::Activation(Activation::Relu));
         rectifier.into_iter().chain([NetworkLayer::Linear(layer)])
-    };
-    layers.into_iter().enumerate().flat_map(rectified)
+    })
 }
 
 impl NeuralController {
@@ -206,37 +205,37 @@ impl NeuralController {
     pub(super) fn max_decision_bytes(&self) -> usize {
         let mut width = self.inputs.len();
         let mut numbers = width;
-        let mut is_each = true;
-        let of_step = |step: &NetworkLayer| {
-            match step {
+        let mut follows_activation = true;
+        let mut most = 0;
+        for layer in &self.layers {
+            match layer {
                 NetworkLayer::Linear(layer) => {
                     numbers = layer.outputs;
                     width += numbers;
+                    follows_activation = false;
                 }
-                NetworkLayer::Activation(_) if is_each => width += numbers,
-                NetworkLayer::Activation(_) => {}
+                NetworkLayer::Activation(_) => {
+                    if follows_activation {
+                        width += numbers;
+                    }
+                    follows_activation = true;
+                }
             }
-            is_each = matches!(step, NetworkLayer::Activation(_));
-            width.saturating_mul(numbers)
-        };
-        self.layers
-            .iter()
-            .map(of_step)
-            .max()
-            .unwrap_or(0)
-            .saturating_mul(2 * size_of::<f64>())
+            most = most.max(width.saturating_mul(numbers));
+        }
+        most.saturating_mul(2 * size_of::<f64>())
     }
 
     /// Returns the commanded acceleration in m/s², for observations with errors of up to `error`.
     #[must_use]
     pub fn decide(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
     ) -> AffineForm {
         self.decide_with_budget(
-            seen,
+            observation,
             error,
             is_followed,
             &OpBudget::new(WorkLimit::UNLIMITED),
@@ -246,7 +245,7 @@ impl NeuralController {
     /// Decides like [`decide`](Self::decide) within a budget; returns the whole line if it is exceeded.
     pub(crate) fn decide_with_budget(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
         is_followed: bool,
         work: &OpBudget,
@@ -254,7 +253,7 @@ impl NeuralController {
         let inputs: Vec<AffineForm> = self
             .inputs
             .iter()
-            .map(|input| input.enclose(seen, error, is_followed))
+            .map(|input| input.enclose(observation, error, is_followed))
             .collect();
         let answer = network_output_with_budget(&self.layers, self.output_index, &inputs, work)
             .unwrap_or_else(AffineForm::entire);
@@ -271,72 +270,98 @@ impl NeuralController {
     }
 }
 
+/// A weighted sum of observations, without their errors.
+struct InputSum {
+    value: AffineForm,
+    /// Largest deviation by errors and rounding.
+    deviation: f64,
+}
+
+impl InputSum {
+    fn exact(number: f64) -> Self {
+        let mut value = AffineForm::default();
+        value.shift(Interval::point(number));
+        Self {
+            value,
+            deviation: 0.0,
+        }
+    }
+}
+
 impl ControllerInput {
-    fn enclose(
+    fn enclose_sum(
         &self,
-        seen: &[AffineForm; OBSERVATION_SIZE],
+        observation: &[AffineForm; OBSERVATION_SIZE],
         error: &[f64; OBSERVATION_SIZE],
-        is_followed: bool,
-    ) -> AffineForm {
-        let Self {
-            coefficients: of,
-            constant,
-            absent_value: absent,
-            offset,
-            scale,
-            low,
-            high,
-        } = self;
-        let (mut value, mut off, mut terms) = (AffineForm::default(), 0.0, 0);
-        match absent.filter(|_| !is_followed) {
-            Some(absent) => value.shift(Interval::point(absent)),
-            None => {
-                for ((&factor, number), error) in of
-                    .iter()
-                    .zip(seen)
-                    .zip(error)
-                    .filter(|((factor, _), _)| **factor != 0.0)
-                {
-                    if terms == 0 && factor == 1.0 {
-                        value = number.clone();
-                    } else {
-                        value.add_scaled(number, Interval::point(factor));
-                    }
-                    off += error * factor.abs();
-                    terms += 1;
-                }
-                if *constant != 0.0 {
-                    value.shift(Interval::point(*constant));
-                    terms += 1;
-                }
+    ) -> InputSum {
+        let mut value = AffineForm::default();
+        let mut deviation = 0.0;
+        let mut terms = 0;
+        for ((&factor, number), error) in self
+            .coefficients
+            .iter()
+            .zip(observation)
+            .zip(error)
+            .filter(|((factor, _), _)| **factor != 0.0)
+        {
+            if terms == 0 && factor == 1.0 {
+                value = number.clone();
+            } else {
+                value.add_scaled(number, Interval::point(factor));
             }
+            deviation += error * factor.abs();
+            terms += 1;
+        }
+        if self.constant != 0.0 {
+            value.shift(Interval::point(self.constant));
+            terms += 1;
         }
         if terms > 1 {
             // The simulator rounds this sum as well.
-            off += (value.centre().abs() + value.radius()) * f64::EPSILON;
+            deviation += (value.centre().abs() + value.radius()) * f64::EPSILON;
         }
-        value.shift(-Interval::point(*offset));
-        if off > 0.0 {
-            value.widen(off);
+        InputSum { value, deviation }
+    }
+
+    fn enclose(
+        &self,
+        observation: &[AffineForm; OBSERVATION_SIZE],
+        error: &[f64; OBSERVATION_SIZE],
+        is_followed: bool,
+    ) -> AffineForm {
+        let InputSum {
+            mut value,
+            deviation,
+        } = match self.absent_value.filter(|_| !is_followed) {
+            Some(absent) => InputSum::exact(absent),
+            None => self.enclose_sum(observation, error),
+        };
+        value.shift(-Interval::point(self.offset));
+        if deviation > 0.0 {
+            value.widen(deviation);
         }
-        let mut cut = clip(
-            &value.scaled(Interval::ONE.over(Interval::point(*scale))),
-            [*low, *high],
+        let mut clipped = clip(
+            &value.scaled(Interval::ONE.over(Interval::point(self.scale))),
+            [self.low, self.high],
         );
-        let largest = cut.centre().abs() + cut.radius();
-        cut.widen(largest * UNIT_ROUNDOFF * (1.0 + 1e-6) + 1e-44);
-        cut
+        let largest = clipped.centre().abs() + clipped.radius();
+        clipped.widen(largest * UNIT_ROUNDOFF * (1.0 + 1e-6) + 1e-44);
+        clipped
     }
 }
 
 /// Clips a form to an interval: y + max(0, low - y) - max(0, y - high).
 fn clip(y: &AffineForm, [low, high]: [f64; 2]) -> AffineForm {
-    let beyond = |sign: f64, limit: f64| {
-        let mut beyond = y.scaled(Interval::point(sign));
-        beyond.shift(-Interval::point(sign * limit));
-        relu(&beyond)
-    };
-    y.clone().minus(&beyond(1.0, high)).plus(&beyond(-1.0, low))
+    y.clone()
+        .minus(&excess_over(y, 1.0, high))
+        .plus(&excess_over(y, -1.0, low))
+}
+
+/// Returns max(0, `sign` (y - `limit`)).
+fn excess_over(y: &AffineForm, sign: f64, limit: f64) -> AffineForm {
+    let mut excess = y.scaled(Interval::point(sign));
+    excess.shift(-Interval::point(sign * limit));
+    relu(&excess)
 }
 
 /// Returns the first output of layers, as a form in the symbols of the inputs.
@@ -353,32 +378,32 @@ fn network_output_with_budget(
     inputs: &[AffineForm],
     work: &OpBudget,
 ) -> Option<AffineForm> {
-    let seen = InputForms::new(inputs);
+    let input_forms = InputForms::new(inputs);
     let mut bounds = NetworkBounds::from_inputs(inputs);
     let last = steps
         .iter()
         .rposition(|step| matches!(step, NetworkLayer::Linear(_)));
-    let (until_last, behind) = steps.split_at(last.map_or(0, |last| last + 1));
+    let (until_last, after_last) = steps.split_at(last.map_or(0, |last| last + 1));
     for step in until_last {
         match step {
             NetworkLayer::Linear(layer) => {
                 if !work.charge(bounds.operations(layer)) {
                     return None;
                 }
-                bounds = bounds.apply_linear(layer, &seen);
+                bounds = bounds.apply_linear(layer, &input_forms);
             }
-            NetworkLayer::Activation(each) => {
-                if !work.charge(each.operations() * bounds.centre.len() as u64) {
+            NetworkLayer::Activation(activation) => {
+                if !work.charge(activation.operations() * bounds.centre.len() as u64) {
                     return None;
                 }
-                bounds.apply_activation(each, &seen);
+                bounds.apply_activation(activation, &input_forms);
             }
         }
     }
     let mut form = bounds.into_form(which, inputs)?;
-    for step in behind {
-        if let NetworkLayer::Activation(each) = step {
-            form = each.apply(which, &form);
+    for step in after_last {
+        if let NetworkLayer::Activation(activation) = step {
+            form = activation.apply(which, &form);
         }
     }
     Some(form)

@@ -110,9 +110,7 @@ impl EgoSet {
         step: Interval,
         decision_steps: u32,
     ) -> [Option<Self>; 2] {
-        let VehicleState {
-            distance, speed, ..
-        } = &self.ego;
+        let speed = &self.ego.speed;
         let [until_last, time] = [decision_steps - 1, decision_steps]
             .map(|steps| Interval::point(f64::from(steps)) * step);
         if speed.is_zero() {
@@ -124,26 +122,32 @@ impl EgoSet {
             };
             return [Some(self.with_ego_in_mode(mode, ego)), None];
         }
-        let (before_last, command) = (
-            speed.clone().plus(&wanted.scaled(until_last)).range(),
-            wanted.range(),
-        );
-        let moving =
-            || self.with_ego_in_mode(self.mode, advance_ego(&self.ego, wanted, time, step));
-        let stopped = || {
-            let braking = (-command).max(Interval::ZERO);
-            let speed_mps = speed.range().max(Interval::ZERO).min(braking * until_last);
-            let mut travelled = distance.clone();
-            travelled.shift((speed_mps * until_last * Interval::point(0.5)).hull(Interval::ZERO));
-            let ego = VehicleState {
-                distance: travelled,
-                ..VehicleState::default()
-            };
-            self.with_ego_in_mode(MotionMode::Standing, ego)
-        };
+        let before_last = speed.clone().plus(&wanted.scaled(until_last)).range();
+        let command = wanted.range();
         let may_move = before_last.high() > 0.0 || command.high() > 0.0;
         let may_stand = before_last.low() <= 0.0 && command.low() <= 0.0;
-        [may_move.then(moving), may_stand.then(stopped)]
+        [
+            may_move.then(|| {
+                self.with_ego_in_mode(self.mode, advance_ego(&self.ego, wanted, time, step))
+            }),
+            may_stand.then(|| self.stopped_within(until_last, command)),
+        ]
+    }
+
+    /// Returns the egos that come to a stand within `time` at a command.
+    fn stopped_within(&self, time: Interval, command: Interval) -> Self {
+        let VehicleState {
+            distance, speed, ..
+        } = &self.ego;
+        let braking = (-command).max(Interval::ZERO);
+        let speed_mps = speed.range().max(Interval::ZERO).min(braking * time);
+        let mut travelled = distance.clone();
+        travelled.shift((speed_mps * time * Interval::point(0.5)).hull(Interval::ZERO));
+        let ego = VehicleState {
+            distance: travelled,
+            ..VehicleState::default()
+        };
+        self.with_ego_in_mode(MotionMode::Standing, ego)
     }
 
     /// Joins two sets, which may differ in all symbols but the shared ones.
@@ -211,33 +215,9 @@ impl EgoSet {
     }
 
     fn reduce_order(mut self) -> Self {
-        let mut vectors: Vec<Generator> = (self.first_own_symbol..self.next_symbol)
-            .map(|symbol| {
-                let mut vector = Generator::default();
-                for (to, form) in vector.iter_mut().zip(self.forms()) {
-                    *to = form.terms().get(symbol).copied().unwrap_or(0.0);
-                }
-                vector
-            })
-            .filter(|vector| *vector != Generator::default())
-            .map(normalize_sign)
-            .collect();
-        vectors.sort_by(|p, q| direction_key(p).total_cmp(&direction_key(q)));
-        let mut pairs: Vec<(GeneratorPair, usize)> = vectors
-            .as_chunks()
-            .0
-            .iter()
-            .zip(0..)
-            .map(|([p, q], place)| (GeneratorPair::new(p, q), place))
-            .collect();
-        pairs.sort_by(|a, b| a.0.cost().total_cmp(&b.0.cost()));
-        pairs.truncate(vectors.len().saturating_sub(REDUCED_SYMBOLS));
-        let mut beyond = Generator::default();
-        for (pair, place) in pairs {
-            (vectors[2 * place], vectors[2 * place + 1]) = (pair.sum, Generator::default());
-            beyond = std::array::from_fn(|i| round_up(beyond[i] + pair.excess[i]));
-        }
-        vectors.retain(|vector| *vector != Generator::default());
+        let mut generators = self.own_generators();
+        generators.sort_by(|p, q| direction_key(p).total_cmp(&direction_key(q)));
+        let excess = merge_generators(&mut generators);
         let states = [Some(&mut self.ego), self.follower.as_mut()]
             .into_iter()
             .flatten();
@@ -251,12 +231,27 @@ impl EgoSet {
         for (i, form) in forms.enumerate() {
             form.replace_terms(
                 self.first_own_symbol,
-                vectors.iter().map(|vector| vector[i]),
-                beyond[i],
+                generators.iter().map(|generator| generator[i]),
+                excess[i],
             );
         }
-        self.next_symbol = self.first_own_symbol + vectors.len();
+        self.next_symbol = self.first_own_symbol + generators.len();
         self
+    }
+
+    /// Returns the generators of the symbols that no other set has.
+    fn own_generators(&self) -> Vec<Generator> {
+        (self.first_own_symbol..self.next_symbol)
+            .map(|symbol| {
+                let mut generator = Generator::default();
+                for (to, form) in generator.iter_mut().zip(self.forms()) {
+                    *to = form.terms().get(symbol).copied().unwrap_or(0.0);
+                }
+                generator
+            })
+            .filter(|generator| *generator != Generator::default())
+            .map(normalize_sign)
+            .collect()
     }
 }
 
@@ -319,8 +314,8 @@ pub(super) fn advance_vehicle(
     let mut free = speed.clone();
     free.add_scaled(wanted, time);
     let mut travelled = distance.clone();
-    let (least, most) = (free.range().low(), free.range().high());
-    if most <= 0.0 {
+    let end_speed = free.range();
+    if end_speed.high() <= 0.0 {
         let farthest = speed.range().max(Interval::ZERO) * time * half;
         travelled.shift(farthest.hull(Interval::ZERO));
         return VehicleState {
@@ -331,8 +326,8 @@ pub(super) fn advance_vehicle(
     }
     travelled.add_scaled(speed, time);
     travelled.add_scaled(wanted, time.sqr() * half);
-    if least < 0.0 {
-        let reversed = Interval::point(-least) * time * half;
+    if end_speed.low() < 0.0 {
+        let reversed = Interval::point(-end_speed.low()) * time * half;
         travelled.shift(reversed.hull(Interval::ZERO));
     }
     VehicleState {
@@ -361,19 +356,41 @@ fn normalize_sign(vector: Generator) -> Generator {
 /// Returns a sort key: the share of the ego's speed in its speed and distance, from -1 to 1. Generators of the follower
 /// alone come last, with keys from 2 to 4.
 fn direction_key(normalized: &Generator) -> f64 {
-    let of = |distance: f64, speed: f64| {
-        if speed == 0.0 {
-            0.0
-        } else {
-            speed / (distance.abs() + speed.abs())
-        }
-    };
     match *normalized {
         [0.0, 0.0, _, distance, speed, _] if distance != 0.0 || speed != 0.0 => {
-            3.0 + of(distance, speed)
+            3.0 + speed_share(distance, speed)
         }
-        [distance, speed, ..] => of(distance, speed),
+        [distance, speed, ..] => speed_share(distance, speed),
     }
+}
+
+fn speed_share(distance: f64, speed: f64) -> f64 {
+    if speed == 0.0 {
+        0.0
+    } else {
+        speed / (distance.abs() + speed.abs())
+    }
+}
+
+/// Replaces the neighbouring pairs that cost least by their sums, until few generators are left. Returns the total
+/// excess of the sums.
+fn merge_generators(generators: &mut Vec<Generator>) -> Generator {
+    let mut pairs: Vec<(GeneratorPair, usize)> = generators
+        .as_chunks()
+        .0
+        .iter()
+        .zip(0..)
+        .map(|([p, q], index)| (GeneratorPair::new(p, q), index))
+        .collect();
+    pairs.sort_by(|a, b| a.0.cost().total_cmp(&b.0.cost()));
+    pairs.truncate(generators.len().saturating_sub(REDUCED_SYMBOLS));
+    let mut excess = Generator::default();
+    for (pair, index) in pairs {
+        (generators[2 * index], generators[2 * index + 1]) = (pair.sum, Generator::default());
+        excess = std::array::from_fn(|i| round_up(excess[i] + pair.excess[i]));
+    }
+    generators.retain(|generator| *generator != Generator::default());
+    excess
 }
 
 struct GeneratorPair {
@@ -383,17 +400,15 @@ struct GeneratorPair {
 
 impl GeneratorPair {
     fn new(p: &Generator, q: &Generator) -> Self {
-        let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
-        let (smaller, larger) = if size(p) > size(q) { (q, p) } else { (p, q) };
+        let [smaller, larger] = if size(p) > size(q) { [q, p] } else { [p, q] };
         let sum: Generator = std::array::from_fn(|i| p[i] + q[i]);
         // At least a half, so that 1 - λ does not round.
         let share = (size(larger) / (size(larger) + size(smaller))).clamp(0.5, 1.0);
         let excess = std::array::from_fn(|i| {
-            let off = |number: f64, share: f64| {
-                let part = share * sum[i];
-                (number - part).abs() + (number.abs() + part.abs()) * (4.0 * f64::EPSILON)
-            };
-            round_up(off(larger[i], share) + off(smaller[i], 1.0 - share))
+            round_up(
+                distance_to_part(larger[i], share * sum[i])
+                    + distance_to_part(smaller[i], (1.0 - share) * sum[i]),
+            )
         });
         Self { sum, excess }
     }
@@ -401,6 +416,15 @@ impl GeneratorPair {
     fn cost(&self) -> f64 {
         self.excess.iter().sum()
     }
+}
+
+fn size(generator: &Generator) -> f64 {
+    generator.iter().map(|number| number.abs()).sum()
+}
+
+/// Bounds the distance of a number from a rounded product.
+fn distance_to_part(number: f64, part: f64) -> f64 {
+    (number - part).abs() + (number.abs() + part.abs()) * (4.0 * f64::EPSILON)
 }
 
 #[cfg(test)]

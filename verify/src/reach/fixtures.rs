@@ -18,14 +18,14 @@ pub(super) fn symbol_form(symbol: usize, low: f64, high: f64) -> AffineForm {
 
 /// Asserts that bounds enclose the expected ones by at most `slack`.
 #[track_caller]
-pub(super) fn assert_bounds(found: Interval, [low, high]: [f64; 2], slack: f64) {
-    let is_near = found.low() >= low - slack && found.high() <= high + slack;
-    let holds = found.low() <= low + slack * 1e-3 && found.high() >= high - slack * 1e-3;
-    assert!(is_near && holds, "{found:?} for {low} to {high}");
+pub(super) fn assert_bounds(actual: Interval, [low, high]: [f64; 2], slack: f64) {
+    let is_near = actual.low() >= low - slack && actual.high() <= high + slack;
+    let holds = actual.low() <= low + slack * 1e-3 && actual.high() >= high - slack * 1e-3;
+    assert!(is_near && holds, "{actual:?} for {low} to {high}");
 }
 
-pub(super) fn is_near(found: f64, expected: f64, relative: f64) -> bool {
-    (found - expected).abs() <= relative * expected.abs()
+pub(super) fn is_near(actual: f64, expected: f64, relative: f64) -> bool {
+    (actual - expected).abs() <= relative * expected.abs()
 }
 
 pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {

@@ -193,11 +193,11 @@ impl FollowerLaw {
                 Vec::new(),
             ),
         };
-        let is_fit = |number: &f64| *number >= 0.0 && number.is_finite();
-        if numbers.iter().all(is_fit)
+
+        if numbers.iter().all(is_nonnegative)
             && divisors
                 .iter()
-                .all(|number| is_fit(number) && *number > 0.0)
+                .all(|number| is_nonnegative(number) && *number > 0.0)
         {
             Ok(self)
         } else {
@@ -257,10 +257,10 @@ struct LawInput {
 
 impl LawInput {
     fn new(gap: AffineForm, speed: AffineForm, closing: AffineForm) -> Self {
-        let mut seen = [gap, speed, closing];
-        seen.iter_mut()
-            .for_each(|form| form.widen(OBSERVATION_ROUNDING));
-        let [gap, speed, closing] = seen;
+        let [gap, speed, closing] = [gap, speed, closing].map(|mut form| {
+            form.widen(OBSERVATION_ROUNDING);
+            form
+        });
         Self {
             gap,
             speed,
@@ -292,19 +292,20 @@ impl<'a> LawFollower<'a> {
             .minus(&own.distance)
     }
 
-    pub(super) fn advance(
-        &self,
-        own: &VehicleState,
-        ego: &VehicleState,
-    ) -> (VehicleState, AffineForm) {
-        let acceleration = self.acceleration(&self.law_input(ego, own));
-        (step_follower(own, &acceleration, self.step), acceleration)
+    /// Returns the follower after one step at an acceleration.
+    pub(super) fn advance(&self, own: &VehicleState, acceleration: &AffineForm) -> VehicleState {
+        step_follower(own, acceleration, self.step)
     }
 
-    fn acceleration(&self, sight: &LawInput) -> AffineForm {
+    /// Returns the follower's acceleration behind the ego vehicle.
+    pub(super) fn acceleration_behind(&self, ego: &VehicleState, own: &VehicleState) -> AffineForm {
+        self.acceleration(&self.law_input(ego, own))
+    }
+
+    fn acceleration(&self, input: &LawInput) -> AffineForm {
         match self.law {
-            FollowerLaw::Idm(law) => law.acceleration(sight, &self.brake),
-            FollowerLaw::AccAeb(law) => law.acceleration(sight, &self.brake),
+            FollowerLaw::Idm(law) => law.acceleration(input, &self.brake),
+            FollowerLaw::AccAeb(law) => law.acceleration(input, &self.brake),
         }
     }
 
@@ -399,12 +400,11 @@ impl AccAebLaw {
 
     /// Returns the command of a vehicle that brakes at up to `brake`.
     fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
-        let clamp = |wanted: &AffineForm| clamp_to_limits(wanted, brake, self.max_accel_mps2);
         let guard = self.guard(sight).range();
         if guard.high() < 0.0 {
-            return clamp(&brake.scaled(Interval::point(-1.0)));
+            return clamp_to_limits(&negative(brake), brake, self.max_accel_mps2);
         }
-        let following = clamp(&self.acc_acceleration(sight));
+        let following = clamp_to_limits(&self.acc_acceleration(sight), brake, self.max_accel_mps2);
         if guard.low() >= 0.0 {
             following
         } else {
@@ -414,14 +414,17 @@ impl AccAebLaw {
 
     /// Returns the largest acceleration that the own speed allows.
     fn speed_limit(&self, LawInput { speed, closing, .. }: &LawInput) -> AffineForm {
-        let below = |limit_mps: f64, speed: &AffineForm| {
-            let margin = AffineForm::constant(Interval::point(limit_mps)).minus(speed);
-            margin.scaled(Interval::point(self.speed_gain_per_s))
-        };
         match self.set_speed_mps {
-            Some(set_speed_mps) => below(set_speed_mps, speed),
-            None => relu(&below(CATCH_UP_MPS, closing)),
+            Some(set_speed_mps) => self.acceleration_to(set_speed_mps, speed),
+            None => relu(&self.acceleration_to(CATCH_UP_MPS, closing)),
         }
+    }
+
+    /// Returns the acceleration that is proportional to the distance of a speed from `limit_mps`.
+    fn acceleration_to(&self, limit_mps: f64, speed: &AffineForm) -> AffineForm {
+        AffineForm::constant(Interval::point(limit_mps))
+            .minus(speed)
+            .scaled(Interval::point(self.speed_gain_per_s))
     }
 
     /// Returns the command without the emergency brake.
@@ -448,10 +451,11 @@ impl AccAebLaw {
 
 fn clamp_to_limits(wanted: &AffineForm, brake: &AffineForm, max_accel_mps2: f64) -> AffineForm {
     let most = AffineForm::constant(Interval::point(max_accel_mps2));
-    min_form(
-        &max_form(wanted, &brake.scaled(Interval::point(-1.0))),
-        &most,
-    )
+    min_form(&max_form(wanted, &negative(brake)), &most)
+}
+
+fn is_nonnegative(number: &f64) -> bool {
+    *number >= 0.0 && number.is_finite()
 }
 
 fn max_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
@@ -464,8 +468,11 @@ fn max_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
 }
 
 fn min_form(a: &AffineForm, b: &AffineForm) -> AffineForm {
-    let negative = |form: &AffineForm| form.scaled(Interval::point(-1.0));
     negative(&max_form(&negative(a), &negative(b)))
+}
+
+fn negative(form: &AffineForm) -> AffineForm {
+    form.scaled(Interval::point(-1.0))
 }
 
 fn step_follower(from: &VehicleState, wanted: &AffineForm, step: Interval) -> VehicleState {

@@ -182,21 +182,20 @@ impl AffineForm {
         if self == other {
             return self.clone();
         }
-        let in_common = |(&a, &b): (&f64, &f64)| {
+        let terms = self.terms.iter().zip(&other.terms).map(|(&a, &b)| {
             if a * b > 0.0 {
                 a.abs().min(b.abs()).copysign(a)
             } else {
                 0.0
             }
-        };
-        let terms = self.terms.iter().zip(&other.terms).map(in_common).collect();
+        });
         let mut joined = Self {
             centre: 0.5 * self.centre + 0.5 * other.centre,
-            terms,
+            terms: terms.collect(),
             rest: 0.0,
         };
-        let beyond = |form: &Self| form.clone().minus(&joined).range();
-        joined.shift(beyond(self).hull(beyond(other)));
+        let [excess, other_excess] = [self, other].map(|form| form.clone().minus(&joined).range());
+        joined.shift(excess.hull(other_excess));
         joined
     }
 

@@ -135,16 +135,24 @@ impl BoundedLeader {
         self.speed_mps.high() <= 0.0
     }
 
+    /// Returns a lower bound of the distance after a time, as a point.
+    fn min_distance_m(&self, time: Interval) -> Interval {
+        let slowest = Interval::point(self.speed_mps.low().max(0.0));
+        let hardest = Interval::point(self.acceleration_mps2.low());
+        let distance_m = distance_and_speed_after(slowest, hardest, time).0;
+        Interval::point(distance_m.low())
+    }
+
     fn state_at(&self, k: u32, step: Interval) -> VehicleState {
-        let place = ((k / self.block_steps) as usize).min(self.block_starts.len() - 1);
-        let [distance, speed] = &self.block_starts[place];
+        let block = ((k / self.block_steps) as usize).min(self.block_starts.len() - 1);
+        let [distance, speed] = &self.block_starts[block];
         if self.is_standing() || k == 0 {
             return VehicleState {
                 speed: speed.clone(),
                 ..VehicleState::default()
             };
         }
-        let since_steps = k.saturating_sub(self.block_steps.saturating_mul(place as u32));
+        let since_steps = k.saturating_sub(self.block_steps.saturating_mul(block as u32));
         let [mut distance, mut speed] = if since_steps == 0 {
             [distance.clone(), speed.clone()]
         } else {
@@ -157,11 +165,7 @@ impl BoundedLeader {
                 Interval::point(f64::from(since_steps)) * step,
             )
         };
-        let slowest = Interval::point(self.speed_mps.low().max(0.0));
-        let hardest = Interval::point(self.acceleration_mps2.low());
-        let (least_m, _) =
-            distance_and_speed_after(slowest, hardest, Interval::point(f64::from(k)) * step);
-        let least_m = Interval::point(least_m.low());
+        let least_m = self.min_distance_m(Interval::point(f64::from(k)) * step);
         if distance.range().low() < least_m.low() {
             distance.shift(-least_m);
             distance = relu(&distance);
@@ -225,9 +229,9 @@ impl ReachClaim {
 }
 
 fn scripted_ranges(ranges: InitialRanges, limit_mps2: Option<f64>, steps: u32) -> InitialRanges {
-    let up_to = |most: f64| Interval::new(0.0, most);
-    match limit_mps2.map(|limit_mps2| (up_to(limit_mps2), up_to(f64::from(steps)))) {
-        Some((Some(leader_brake_mps2), Some(onset_steps))) => InitialRanges {
+    let brake_mps2 = limit_mps2.and_then(|limit_mps2| Interval::new(0.0, limit_mps2));
+    match (brake_mps2, Interval::new(0.0, f64::from(steps))) {
+        (Some(leader_brake_mps2), Some(onset_steps)) => InitialRanges {
             leader_brake_mps2,
             onset_steps,
             ..ranges

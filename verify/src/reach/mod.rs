@@ -133,10 +133,10 @@ pub(crate) fn load_controller(
         problem: problem.to_owned(),
     };
     let file = file.ok_or_else(|| wrong("is not there"))?;
-    let found = sha256(file);
-    if found != digest {
+    let actual = sha256(file);
+    if actual != digest {
         return Err(Rejection::Policy {
-            problem: format!("has SHA-256 {found}, and `policy_sha256` is {digest}"),
+            problem: format!("has SHA-256 {actual}, and `policy_sha256` is {digest}"),
         });
     }
     let controller =

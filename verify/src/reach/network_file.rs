@@ -136,58 +136,53 @@ impl NetworkFileQuantity {
 
 impl NetworkFileInput {
     fn to_controller_input(&self) -> Result<ControllerInput, &'static str> {
-        let Self {
-            quantity,
-            constant,
-            offset,
-            scale,
-            low,
-            high,
-            absent,
-        } = *self;
         let given = [
-            Some(offset),
-            Some(scale),
-            Some(low),
-            Some(high),
-            constant,
-            absent,
+            Some(self.offset),
+            Some(self.scale),
+            Some(self.low),
+            Some(self.high),
+            self.constant,
+            self.absent,
         ];
-        if !given.into_iter().flatten().all(f64::is_finite) || scale == 0.0 || low > high {
+        if !given.into_iter().flatten().all(f64::is_finite)
+            || self.scale == 0.0
+            || self.low > self.high
+        {
             return Err("contains numbers outside their ranges");
         }
-        let (of, constant, absent) = match (quantity, constant) {
-            (None, Some(constant)) if absent.is_none() => ([0.0; OBSERVATION_SIZE], constant, None),
-            (
-                Some(quantity @ (NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind)),
-                None,
-            ) if absent.is_none() => {
-                // A vehicle ahead is always present.
-                let absent = matches!(quantity, NetworkFileQuantity::IsBehind).then_some(0.0);
-                (quantity.coefficients(), 1.0, absent)
-            }
-            (Some(quantity), None) if quantity.is_about_follower() => {
-                (quantity.coefficients(), 0.0, absent)
-            }
-            (Some(quantity), None) if quantity.is_about_leader() => {
-                (quantity.coefficients(), 0.0, None)
-            }
-            (Some(quantity), None) if absent.is_none() => (quantity.coefficients(), 0.0, None),
-            _ => {
-                return Err(
-                    "must be a quantity or a constant; `absent` is only for quantities of another vehicle",
-                );
-            }
-        };
         Ok(ControllerInput {
-            coefficients: of,
-            constant,
-            absent_value: absent,
-            offset,
-            scale,
-            low,
-            high,
+            coefficients: self
+                .quantity
+                .map_or([0.0; OBSERVATION_SIZE], NetworkFileQuantity::coefficients),
+            constant: match self.quantity {
+                Some(NetworkFileQuantity::IsAhead | NetworkFileQuantity::IsBehind) => 1.0,
+                _ => self.constant.unwrap_or(0.0),
+            },
+            absent_value: self.absent_value()?,
+            offset: self.offset,
+            scale: self.scale,
+            low: self.low,
+            high: self.high,
         })
+    }
+
+    /// Returns the value for an absent vehicle, which only a follower can be: a vehicle ahead is always present.
+    fn absent_value(&self) -> Result<Option<f64>, &'static str> {
+        match (self.quantity, self.constant) {
+            (None, Some(_)) | (Some(NetworkFileQuantity::IsAhead), None)
+                if self.absent.is_none() =>
+            {
+                Ok(None)
+            }
+            (Some(NetworkFileQuantity::IsBehind), None) if self.absent.is_none() => Ok(Some(0.0)),
+            (Some(quantity), None) if quantity.is_about_follower() => Ok(self.absent),
+            (Some(quantity), None) if quantity.is_about_leader() || self.absent.is_none() => {
+                Ok(None)
+            }
+            _ => Err(
+                "must be a quantity or a constant; `absent` is only for quantities of another vehicle",
+            ),
+        }
     }
 }
 
@@ -213,19 +208,27 @@ impl NetworkFileHeader {
         if !(1..=MAX_LAYER_WIDTH).contains(&inputs.len()) || steps.len() > MAX_STEPS {
             return Err("describes too large a network".to_owned());
         }
-        let is_positive = |value: f64| value > 0.0 && value.is_finite();
-        if !is_positive(*empty_gap_m) || !is_positive(*decision_interval_s) {
+        let are_positive = [empty_gap_m, decision_interval_s]
+            .into_iter()
+            .all(|value| *value > 0.0 && value.is_finite());
+        if !are_positive {
             return Err(format!(
                 "{METADATA_KEY}: `empty_gap_m` and `decision_interval_s` must be positive"
             ));
         }
-        let NetworkFileOutput {
+        output.check()
+    }
+}
+
+impl NetworkFileOutput {
+    fn check(&self) -> Result<(), String> {
+        let Self {
             scale_mps2,
             offset_mps2,
             low_mps2,
             high_mps2,
             ..
-        } = output;
+        } = self;
         let is_finite = [scale_mps2, offset_mps2, low_mps2, high_mps2]
             .into_iter()
             .all(|value| value.is_finite());
@@ -243,25 +246,17 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
     let header: NetworkFileHeader =
         serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
     header.check()?;
-    let inputs = header.inputs.iter().enumerate().map(|(index, seen)| {
-        seen.to_controller_input()
-            .map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}"))
-    });
-    let inputs = inputs.collect::<Result<Vec<_>, _>>()?;
-    let mut steps = Vec::new();
-    let (mut width, mut numbers) = (inputs.len(), inputs.len());
-    for (index, done) in header.steps.iter().enumerate() {
-        let step = done.read_layer(index, width, file)?;
-        match &step {
-            NetworkLayer::Linear(layer) => width = layer.outputs,
-            // It adds at most one symbol per number.
-            NetworkLayer::Activation(_) => numbers += width,
-        }
-        if numbers > MAX_NUMBERS {
-            return Err("describes too large a network".to_owned());
-        }
-        steps.push(step);
-    }
+    let inputs = header
+        .inputs
+        .iter()
+        .enumerate()
+        .map(|(index, input)| {
+            input
+                .to_controller_input()
+                .map_err(|problem| format!("{METADATA_KEY}: inputs[{index}]: {problem}"))
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let layers = read_layers(&header, file)?;
     let NetworkFileOutput {
         answer,
         scale_mps2,
@@ -269,14 +264,9 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         low_mps2,
         high_mps2,
     } = header.output;
-    if answer >= width {
-        return Err(format!(
-            "{METADATA_KEY}: output: there is no output {answer}"
-        ));
-    }
     let mut controller = NeuralController {
         inputs,
-        layers: steps,
+        layers,
         output_index: answer,
         scale_mps2,
         offset_mps2,
@@ -286,22 +276,56 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         decision_interval_s: header.decision_interval_s,
         source: Some(header.source),
     };
-    // Double-precision arithmetic is monotone, so the largest output decides for all. A sum may round up.
-    let is_last = |each: &Activation| {
-        matches!(
-            each,
-            Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. }
-        )
-    };
-    if let (Some(NetworkLayer::Activation(each)), Ok(largest)) =
-        (controller.layers.last(), controller.max_output_magnitude())
-        && is_last(each)
-    {
-        let farthest = (scale_mps2 * largest).abs();
-        controller.is_clipped =
-            !(offset_mps2 + farthest <= high_mps2 && offset_mps2 - farthest >= low_mps2);
-    }
+    controller.is_clipped = !controller.stays_within_action_bounds();
     Ok(controller)
+}
+
+/// Reads the layers and checks that the last one has the answer.
+fn read_layers(
+    header: &NetworkFileHeader,
+    file: &mut SafetensorsFile<'_>,
+) -> Result<Vec<NetworkLayer>, String> {
+    let mut layers = Vec::new();
+    let mut width = header.inputs.len();
+    let mut numbers = width;
+    for (index, step) in header.steps.iter().enumerate() {
+        let layer = step.read_layer(index, width, file)?;
+        match &layer {
+            NetworkLayer::Linear(layer) => width = layer.outputs,
+            // It adds at most one symbol per number.
+            NetworkLayer::Activation(_) => numbers += width,
+        }
+        if numbers > MAX_NUMBERS {
+            return Err("describes too large a network".to_owned());
+        }
+        layers.push(layer);
+    }
+    let answer = header.output.answer;
+    if answer >= width {
+        return Err(format!(
+            "{METADATA_KEY}: output: there is no output {answer}"
+        ));
+    }
+    Ok(layers)
+}
+
+impl NeuralController {
+    /// True if the last activation bounds the output so that no command exceeds the action bounds.
+    fn stays_within_action_bounds(&self) -> bool {
+        let is_bounded = matches!(
+            self.layers.last(),
+            Some(NetworkLayer::Activation(
+                Activation::Tanh | Activation::Sigmoid | Activation::Clip { .. }
+            ))
+        );
+        let [low_mps2, high_mps2] = self.action_bounds_mps2;
+        // Double-precision arithmetic is monotone, so the largest output decides for all. A sum may round up.
+        is_bounded
+            && self.max_output_magnitude().is_ok_and(|largest| {
+                let farthest = (self.scale_mps2 * largest).abs();
+                self.offset_mps2 + farthest <= high_mps2 && self.offset_mps2 - farthest >= low_mps2
+            })
+    }
 }
 
 impl NetworkFileStep {
@@ -311,30 +335,23 @@ impl NetworkFileStep {
         width: usize,
         file: &mut SafetensorsFile<'_>,
     ) -> Result<NetworkLayer, String> {
-        let wrong = |problem: &str| Err(format!("{METADATA_KEY}: steps[{index}]: {problem}"));
         let mut tensor =
             |name: &str, shape: &[usize]| file.take_tensor(&format!("steps.{index}.{name}"), shape);
-        // Must be a single-precision number, like those of the network.
-        let is_single = |number: f64| number.is_finite() && f64::from(number as f32) == number;
         Ok(NetworkLayer::Activation(match *self {
             Self::Linear(outputs) => {
                 if !(1..=MAX_LAYER_WIDTH).contains(&outputs) || width > MAX_LAYER_WIDTH {
-                    return wrong("is too wide");
+                    return Err(step_error(index, "is too wide"));
                 }
-                let (weights, biases) = (
-                    tensor("weight", &[width, outputs])?,
-                    tensor("bias", &[outputs])?,
-                );
                 return Ok(NetworkLayer::Linear(LinearLayer {
                     inputs: width,
                     outputs,
-                    weights,
-                    biases,
+                    weights: tensor("weight", &[width, outputs])?,
+                    biases: tensor("bias", &[outputs])?,
                 }));
             }
             Self::Relu => Activation::Relu,
-            Self::LeakyRelu(number) | Self::Elu(number) if !is_single(number) => {
-                return wrong("is not a number in single precision");
+            Self::LeakyRelu(number) | Self::Elu(number) if !is_single_precision(number) => {
+                return Err(step_error(index, "is not a number in single precision"));
             }
             Self::LeakyRelu(slope) => Activation::LeakyRelu(slope),
             Self::Elu(alpha) => Activation::Elu(alpha),
@@ -345,17 +362,27 @@ impl NetworkFileStep {
             Self::Divide => {
                 let operands = tensor("operand", &[width])?;
                 if operands.contains(&0.0) {
-                    return wrong("divides by 0");
+                    return Err(step_error(index, "divides by 0"));
                 }
                 Activation::Divide(operands)
             }
             Self::Clip => {
-                let (low, high) = (tensor("low", &[width])?, tensor("high", &[width])?);
+                let low = tensor("low", &[width])?;
+                let high = tensor("high", &[width])?;
                 if !low.iter().zip(&high).all(|(low, high)| low <= high) {
-                    return wrong("has a lower limit above the upper one");
+                    return Err(step_error(index, "has a lower limit above the upper one"));
                 }
                 Activation::Clip { low, high }
             }
         }))
     }
+}
+
+fn step_error(index: usize, problem: &str) -> String {
+    format!("{METADATA_KEY}: steps[{index}]: {problem}")
+}
+
+/// True if a number is in single precision, like those of the network.
+fn is_single_precision(number: f64) -> bool {
+    number.is_finite() && f64::from(number as f32) == number
 }

@@ -59,70 +59,97 @@ struct PolicyFileAction {
 
 impl PolicyFileHeader {
     fn check(&self) -> Result<(), String> {
-        let Self {
-            version,
-            hidden,
-            observation,
-            action,
-            decision_interval_s,
-            estimator,
-            ..
-        } = self;
-        if *version != VERSION {
+        if self.version != VERSION {
             return Err(format!(
-                "{METADATA_KEY}: version {version} is not supported: this release reads {VERSION}"
+                "{METADATA_KEY}: version {} is not supported: this release reads {VERSION}",
+                self.version
             ));
         }
-        if !ESTIMATORS.contains(&estimator.as_str()) {
+        if !ESTIMATORS.contains(&self.estimator.as_str()) {
             return Err(format!(
-                "{METADATA_KEY}: estimator: {estimator:?} is not known"
+                "{METADATA_KEY}: estimator: {:?} is not known",
+                self.estimator
             ));
         }
-        let numbers = hidden
+        self.check_size()?;
+        self.observation.check(self.decision_interval_s)?;
+        self.action.check()
+    }
+
+    fn check_size(&self) -> Result<(), String> {
+        let numbers = self
+            .hidden
             .iter()
             .fold(0_usize, |sum, size| sum.saturating_add(*size));
-        let is_too_wide = hidden
+        let is_too_wide = self
+            .hidden
             .iter()
             .any(|size| !(1..=MAX_LAYER_WIDTH).contains(size));
-        if hidden.len() > MAX_LAYERS || numbers > MAX_NUMBERS || is_too_wide {
+        if self.hidden.len() > MAX_LAYERS || numbers > MAX_NUMBERS || is_too_wide {
             return Err("describes too large a network".to_owned());
         }
-        let Scaling {
-            offset,
-            scale,
-            limit,
-            empty_gap_m,
-            history,
-            history_every,
-            extra,
-        } = observation;
-        let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
-        let positive = scale
+        Ok(())
+    }
+}
+
+impl Scaling {
+    fn check(&self, decision_interval_s: f64) -> Result<(), String> {
+        let is_positive = self
+            .scale
             .iter()
-            .chain([limit, empty_gap_m, decision_interval_s])
-            .all(is_positive);
-        if !positive || !offset.iter().all(|value| value.is_finite()) {
+            .chain([&self.limit, &self.empty_gap_m, &decision_interval_s])
+            .all(|value| *value > 0.0 && value.is_finite());
+        if !is_positive || !self.offset.iter().all(|value| value.is_finite()) {
             return Err("has a scaling outside its range".to_owned());
         }
         // The spacing of a history of length one has no meaning and must not suggest one.
-        if [*history, *history_every] != [1, 1] {
-            let is_not = "only a network without history can be analysed";
-            return Err(format!("{METADATA_KEY}: observation: history: {is_not}"));
+        if [self.history, self.history_every] != [1, 1] {
+            let problem = "only a network without history can be analysed";
+            return Err(format!("{METADATA_KEY}: observation: history: {problem}"));
         }
-        if !extra.is_empty() {
-            let is_not = "only a network with the paper's eight inputs can be analysed";
-            return Err(format!("{METADATA_KEY}: observation: extra: {is_not}"));
+        if !self.extra.is_empty() {
+            let problem = "only a network with the paper's eight inputs can be analysed";
+            return Err(format!("{METADATA_KEY}: observation: extra: {problem}"));
         }
-        let PolicyFileAction {
+        Ok(())
+    }
+}
+
+impl PolicyFileAction {
+    fn check(&self) -> Result<(), String> {
+        let Self {
             low_mps2: low,
             high_mps2: high,
-        } = action;
+        } = self;
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {
             Err("has action bounds that are not finite and in order".to_owned())
         }
     }
+}
+
+fn read_layers(
+    hidden: &[usize],
+    file: &mut SafetensorsFile<'_>,
+) -> Result<Vec<LinearLayer>, String> {
+    let sizes = [&[OBSERVATION_SIZE], hidden, &[1]].concat();
+    sizes
+        .windows(2)
+        .enumerate()
+        .map(|(index, pair)| {
+            let inputs = pair[0];
+            let outputs = pair[1];
+            let weights = file.take_tensor(&format!("actor.{index}.weight"), &[inputs, outputs])?;
+            let biases = file.take_tensor(&format!("actor.{index}.bias"), &[outputs])?;
+            Ok(LinearLayer {
+                inputs,
+                outputs,
+                weights,
+                biases,
+            })
+        })
+        .collect()
 }
 
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
@@ -135,19 +162,7 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         format!("{METADATA_KEY}: {error}{hint}")
     })?;
     header.check()?;
-    let sizes = [&[OBSERVATION_SIZE], header.hidden.as_slice(), &[1]].concat();
-    let layers = sizes.windows(2).enumerate().map(|(index, pair)| {
-        let (inputs, outputs) = (pair[0], pair[1]);
-        let weights = file.take_tensor(&format!("actor.{index}.weight"), &[inputs, outputs])?;
-        let biases = file.take_tensor(&format!("actor.{index}.bias"), &[outputs])?;
-        Ok(LinearLayer {
-            inputs,
-            outputs,
-            weights,
-            biases,
-        })
-    });
-    let layers = layers.collect::<Result<Vec<_>, String>>()?;
+    let layers = read_layers(&header.hidden, file)?;
     let Scaling {
         offset,
         scale,
@@ -188,7 +203,7 @@ mod tests {
 
     /// Checks that an absent value means one, as in the simulator, and that null is rejected.
     #[test]
-    fn a_history_is_a_number_or_left_out() {
+    fn a_history_is_a_number_or_absent() {
         for field in ["history", "history_every"] {
             for (value, is_read) in [
                 (serde_json::json!(1), true),
@@ -229,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_network_is_as_deep_and_as_wide_as_is_allowed_and_no_more() {
+    fn limits_of_depth_and_width_are_exact() {
         for hidden in [
             vec![],
             vec![1; MAX_LAYERS],
@@ -305,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_of_an_action_have_a_difference_and_a_sum() {
+    fn action_bounds_must_have_a_finite_difference_and_sum() {
         let with = |low, high| {
             let evaluated = check_modified(|header| {
                 (header.action.low_mps2, header.action.high_mps2) = (low, high)

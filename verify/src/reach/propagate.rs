@@ -98,19 +98,19 @@ struct ReachAnalysis<'a> {
 impl<'a> ReachAnalysis<'a> {
     fn new(scene: &'a ReachProblem<'a>, budget: &'a OpBudget, tube: Option<ReachTube>) -> Self {
         let step = Interval::point(scene.step_s);
-        let symbol = |dimension| initial_symbol(scene, dimension);
         let leader = [
             BoxDimension::LeaderSpeedMps,
             BoxDimension::LeaderBrakeMps2,
             BoxDimension::OnsetSteps,
         ]
-        .map(symbol);
+        .map(|dimension| initial_symbol(scene, dimension));
         Self {
             scene,
             budget,
             step,
             leader: LeaderModel::new(scene, leader, step),
-            gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
+            gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM]
+                .map(|dimension| initial_symbol(scene, dimension)),
             result: ReachResult::INITIAL,
             window_count: 0,
             tube,
@@ -150,18 +150,14 @@ fn analyze(
     work: &OpBudget,
     tube: Option<ReachTube>,
 ) -> (ReachResult, Option<ReachTube>) {
-    let symbol = |dimension| initial_symbol(scene, dimension);
     let mut analysis = ReachAnalysis::new(scene, work, tube);
     let shared = SHARED_SYMBOLS + analysis.leader.symbol_count();
-    let at_rest = |speed| VehicleState {
-        speed,
+    let driven = scene.follower_law().map(|_| VehicleState {
+        speed: initial_symbol(scene, BoxDimension::FollowerSpeedMps),
         ..VehicleState::default()
-    };
-    let driven = scene
-        .follower_law()
-        .map(|_| at_rest(symbol(BoxDimension::FollowerSpeedMps)));
-    let members =
-        EgoSet::from_speed(symbol(BoxDimension::EgoSpeedMps), shared).with_follower(driven);
+    });
+    let ego_speed = initial_symbol(scene, BoxDimension::EgoSpeedMps);
+    let members = EgoSet::from_speed(ego_speed, shared).with_follower(driven);
     let mut starts = ByMode::default();
     let mode = members.mode as usize;
     starts[mode] = Some(members);
@@ -193,16 +189,37 @@ impl ReachProblem<'_> {
     }
 }
 
+/// The sets after one decision.
+struct DecisionOutcome {
+    sets: ByMode<StateSet>,
+    /// The members whose follower fires before the next decision.
+    window: FiringWindow,
+    /// True if all members stand, and keep standing.
+    all_stand: bool,
+}
+
+/// Instants of a decision interval at which the follower's brake may fire.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Firing {
+    /// First and last instant, in steps.
+    instants: [f64; 2],
+    is_certain: bool,
+}
+
+/// A follower with a law at the next decision.
+struct DrivenFollower {
+    state: VehicleState,
+    /// Lower bound of the gap until then, in metres.
+    min_gap_m: f64,
+}
+
 impl ReachAnalysis<'_> {
     fn latched_follower(&self, [first, last]: [f64; 2]) -> BrakingVehicle {
-        let get = |dimension: BoxDimension| {
-            AffineForm::symbol(dimension as usize, self.scene.ranges.get(dimension))
-        };
         let window = Interval::new(first, last).unwrap_or(Interval::ENTIRE);
         let onset = AffineForm::symbol(SHARED_SYMBOLS - 1, window);
         let mut follower = BrakingVehicle::new(
-            get(BoxDimension::FollowerSpeedMps),
-            get(BoxDimension::FollowerBrakeMps2),
+            initial_symbol(self.scene, BoxDimension::FollowerSpeedMps),
+            initial_symbol(self.scene, BoxDimension::FollowerBrakeMps2),
             onset,
             window,
             self.step,
@@ -221,98 +238,124 @@ impl ReachAnalysis<'_> {
         has_not_fired: bool,
     ) -> Option<bool> {
         let every = self.scene.decision_steps;
-        let (mut all_touch, mut windows) = (true, Vec::new());
+        let mut windows = Vec::new();
         let mut sets: ByMode<StateSet> =
             members.map(|members| members.map(|members| self.observe(k, members, follower)));
         while k < self.scene.steps && sets.iter().any(Option::is_some) {
-            let mut next: ByMode<StateSet> = ByMode::default();
-            let (mut window, mut stays) = (FiringWindow::new(k), true);
-            sets.iter()
-                .flatten()
-                .for_each(|set| self.record_tube(k, &set.observation));
-            for set in sets.iter().flatten() {
-                let wanted = self.decide(k, set)?;
-                if let (Some(follower), true) = (follower, has_not_fired)
-                    && let Some((instants, surely)) =
-                        self.firing_instants(k, &set.members, &wanted, follower)
-                {
-                    window.record_firing(set.members.mode, instants);
-                    if surely {
-                        continue;
-                    }
-                }
-                stays &= set.members.mode == MotionMode::Standing && wanted.range().high() <= 0.0;
-                let (driven, behind_m) = self.advance_follower(&set.members, &wanted).unzip();
-                let members = set.members.clone().with_follower(driven);
-                for members in members
-                    .after_decision(&wanted, self.step, every)
-                    .into_iter()
-                    .flatten()
-                {
-                    let now = self.observe(k + every, members, follower);
-                    if self.record_gaps(k, &set.gaps, &now, &wanted, follower, behind_m) {
-                        self.tube = None;
-                    } else if self.scene.stop_when_undecided && self.result.undecided.is_some() {
-                        return None;
-                    } else {
-                        let place = &mut next[now.members.mode as usize];
-                        *place = Some(match place.take() {
-                            Some(others) => {
-                                self.observe(k + every, others.members.join(&now.members), follower)
-                            }
-                            None => now,
-                        });
-                    }
-                }
-            }
-            if window.may_fire() {
+            self.record_tube(k, &sets);
+            let outcome = self.propagate_decision(k, &sets, follower, has_not_fired)?;
+            if outcome.window.may_fire() {
+                let mut window = outcome.window;
                 window.members = sets
                     .each_ref()
                     .map(|set| set.as_ref().map(|set| set.members.clone()));
                 windows.push(window);
                 if windows.len() > MAX_INTERVALS {
-                    self.record_undecided(
-                        Undecided::TooManySets { step: k },
-                        &self.gaps[1].clone(),
-                    );
+                    self.record_too_many_sets(k);
                     return None;
                 }
             }
-            let goes_on = next.iter().any(Option::is_some);
-            if stays && goes_on && self.are_others_at_rest(k, follower) {
-                for set in sets.iter().flatten() {
-                    (k..=self.scene.steps)
-                        .step_by(every as usize)
-                        .for_each(|k| self.record_tube(k, &set.observation));
-                }
+            let goes_on = outcome.sets.iter().any(Option::is_some);
+            if outcome.all_stand && goes_on && self.are_others_at_rest(k, follower) {
+                (k..=self.scene.steps)
+                    .step_by(every as usize)
+                    .for_each(|k| self.record_tube(k, &sets));
                 break;
             }
-            (k, sets) = (k + every, next);
+            (k, sets) = (k + every, outcome.sets);
         }
+        self.record_tube(k, &sets);
+        let all_collide = sets.iter().all(Option::is_none);
+        Some(self.propagate_fired(windows)? && all_collide)
+    }
+
+    /// Propagates sets to the next decision. Returns `None` if the analysis ended early.
+    fn propagate_decision(
+        &mut self,
+        k: u32,
+        sets: &ByMode<StateSet>,
+        follower: Option<&BrakingVehicle>,
+        has_not_fired: bool,
+    ) -> Option<DecisionOutcome> {
+        let mut outcome = DecisionOutcome {
+            sets: ByMode::default(),
+            window: FiringWindow::new(k),
+            all_stand: true,
+        };
         for set in sets.iter().flatten() {
-            self.record_tube(k, &set.observation);
-            all_touch = false;
+            let wanted = self.decide(k, set)?;
+            if let (Some(follower), true) = (follower, has_not_fired)
+                && let Some(firing) = self.firing_instants(k, &set.members, &wanted, follower)
+            {
+                outcome
+                    .window
+                    .record_firing(set.members.mode, firing.instants);
+                if firing.is_certain {
+                    continue;
+                }
+            }
+            outcome.all_stand &=
+                set.members.mode == MotionMode::Standing && wanted.range().high() <= 0.0;
+            self.propagate_set(k, set, &wanted, follower, &mut outcome.sets)?;
         }
-        Some(self.propagate_fired(windows)? && all_touch)
+        Some(outcome)
+    }
+
+    /// Propagates one set to the next decision, and joins it to `next`. Returns `None` if the analysis ended early.
+    fn propagate_set(
+        &mut self,
+        k: u32,
+        set: &StateSet,
+        wanted: &AffineForm,
+        follower: Option<&BrakingVehicle>,
+        next: &mut ByMode<StateSet>,
+    ) -> Option<()> {
+        let every = self.scene.decision_steps;
+        let driven = self.advance_follower(&set.members, wanted);
+        let driven_m = driven.as_ref().map(|driven| driven.min_gap_m);
+        let members = set.members.clone();
+        for members in members
+            .with_follower(driven.map(|driven| driven.state))
+            .after_decision(wanted, self.step, every)
+            .into_iter()
+            .flatten()
+        {
+            let now = self.observe(k + every, members, follower);
+            if self.record_gaps(k, &set.gaps, &now, wanted, follower, driven_m) {
+                self.tube = None;
+            } else if self.scene.stop_when_undecided && self.result.undecided.is_some() {
+                return None;
+            } else {
+                let joined = &mut next[now.members.mode as usize];
+                *joined = Some(match joined.take() {
+                    Some(others) => {
+                        self.observe(k + every, others.members.join(&now.members), follower)
+                    }
+                    None => now,
+                });
+            }
+        }
+        Some(())
+    }
+
+    fn record_too_many_sets(&mut self, k: u32) {
+        self.record_undecided(Undecided::TooManySets { step: k }, &self.gaps[1].clone());
     }
 
     /// Propagates the members whose follower fires in some windows. Returns as [`propagate`](Self::propagate).
     fn propagate_fired(&mut self, windows: Vec<FiringWindow>) -> Option<bool> {
-        let mut all_touch = true;
+        let mut all_collide = true;
         for window in merge_windows(windows, self.scene) {
             self.window_count += 1;
             if self.window_count > MAX_WINDOWS {
-                self.record_undecided(
-                    Undecided::TooManySets { step: window.k },
-                    &self.gaps[1].clone(),
-                );
+                self.record_too_many_sets(window.k);
                 return None;
             }
             let follower = self.latched_follower(window.instants);
-            all_touch &=
+            all_collide &=
                 self.propagate(window.k, window.into_firing_sets(), Some(&follower), false)?;
         }
-        Some(all_touch)
+        Some(all_collide)
     }
 
     /// Returns the acceleration of a set until the next decision, or `None` if it is too wide.
@@ -321,7 +364,7 @@ impl ReachAnalysis<'_> {
         k: u32,
         StateSet {
             members,
-            observation: seen,
+            observation,
             ..
         }: &StateSet,
     ) -> Option<AffineForm> {
@@ -335,8 +378,12 @@ impl ReachAnalysis<'_> {
             follower,
             ..
         } = self.scene;
-        let wanted =
-            controller.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
+        let wanted = controller.decide_with_budget(
+            observation,
+            observation_error,
+            follower.is_some(),
+            self.budget,
+        );
         let wanted = wanted.with_rest_as_symbol(members.next_symbol);
         if members.ego.speed.radius() < MAX_RADIUS_MPS && wanted.radius() < MAX_RADIUS_MPS {
             return Some(wanted);
@@ -352,15 +399,16 @@ impl ReachAnalysis<'_> {
         has_stood && self.leader.has_stood(k, self.step)
     }
 
-    fn record_tube(&mut self, k: u32, seen: &[AffineForm; OBSERVATION_SIZE]) {
+    /// Adds what sets observe at instant k to the reach tube.
+    fn record_tube(&mut self, k: u32, sets: &ByMode<StateSet>) {
         let Some(tube) = &mut self.tube else { return };
-        let (decision, ranges) = (
-            (k / self.scene.decision_steps) as usize,
-            seen.each_ref().map(AffineForm::range),
-        );
-        match tube.get_mut(decision) {
-            Some(known) => *known = std::array::from_fn(|i| known[i].hull(ranges[i])),
-            None => tube.push(ranges),
+        let decision = (k / self.scene.decision_steps) as usize;
+        for set in sets.iter().flatten() {
+            let ranges = set.observation.each_ref().map(AffineForm::range);
+            match tube.get_mut(decision) {
+                Some(hull) => *hull = std::array::from_fn(|i| hull[i].hull(ranges[i])),
+                None => tube.push(ranges),
+            }
         }
     }
 
@@ -374,43 +422,38 @@ impl ReachAnalysis<'_> {
             .follower
             .clone()
             .or_else(|| Some(follower?.state_at(k, self.step)));
-        let (behind, follower) = match follower {
-            Some(follower) => (
-                behind.clone().plus(&ego.distance).minus(&follower.distance),
-                follower,
-            ),
-            None => {
-                let absent = VehicleState {
-                    acceleration: AffineForm::default(),
-                    ..ego.clone()
-                };
-                (
-                    AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)),
-                    absent,
-                )
-            }
+        let behind = match &follower {
+            Some(follower) => behind.clone().plus(&ego.distance).minus(&follower.distance),
+            None => AffineForm::constant(Interval::point(self.scene.controller.empty_gap_m)),
         };
-        let gaps = [ahead.clone(), behind.clone()];
-        let (speeds, accelerations) = (
-            [leader.speed, ego.speed, follower.speed],
-            [leader.acceleration, ego.acceleration, follower.acceleration],
-        );
-        let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
+        let follower = follower.unwrap_or_else(|| VehicleState {
+            acceleration: AffineForm::default(),
+            ..ego.clone()
+        });
         StateSet {
             members,
-            observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r],
-            gaps,
+            gaps: [ahead.clone(), behind.clone()],
+            observation: [
+                ahead,
+                behind,
+                leader.speed,
+                ego.speed,
+                follower.speed,
+                leader.acceleration,
+                ego.acceleration,
+                follower.acceleration,
+            ],
         }
     }
 
-    /// Returns the instants of a decision interval at which the brake may fire, and whether it surely does.
+    /// Returns when the brake may fire before the next decision, or `None` if it does not.
     fn firing_instants(
         &self,
         k: u32,
         members: &EgoSet,
         wanted: &AffineForm,
         follower: &BrakingVehicle,
-    ) -> Option<([f64; 2], bool)> {
+    ) -> Option<Firing> {
         let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {
@@ -421,24 +464,27 @@ impl ReachAnalysis<'_> {
                 &follower.speed,
                 -(theta + Interval::point(f64::from(k + j)) * self.step),
             );
-            let (guard, instant) = (guard.range(), f64::from(k + j));
+            let guard = guard.range();
+            let instant = f64::from(k + j);
             if guard.low() < 0.0 {
                 let first = *first.get_or_insert(instant);
                 if guard.high() < 0.0 {
-                    return Some(([first, instant], true));
+                    return Some(Firing {
+                        instants: [first, instant],
+                        is_certain: true,
+                    });
                 }
             }
         }
         let last = f64::from(k + self.scene.decision_steps - 1);
-        first.map(|first| ([first, last], false))
+        first.map(|first| Firing {
+            instants: [first, last],
+            is_certain: false,
+        })
     }
 
-    /// Returns a follower with a law at the next decision, and a bound of the gap until then, in metres.
-    fn advance_follower(
-        &self,
-        members: &EgoSet,
-        wanted: &AffineForm,
-    ) -> Option<(VehicleState, f64)> {
+    /// Returns the follower at the next decision, or `None` if no follower has a law.
+    fn advance_follower(&self, members: &EgoSet, wanted: &AffineForm) -> Option<DrivenFollower> {
         let start = members.follower.as_ref()?;
         self.budget.charge(
             OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps),
@@ -451,19 +497,25 @@ impl ReachAnalysis<'_> {
         );
         let eighth = self.step.sqr() * Interval::point(0.125);
         let ahead = wanted.range().max(Interval::ZERO);
-        let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
+        let mut own = start.clone();
+        let mut ego = members.ego.clone();
+        let mut min_gap_m = f64::INFINITY;
         for j in 1..=self.scene.decision_steps {
             let ego_later = members.ego_after(wanted, self.step, j);
-            let (later, acceleration) = behind.advance(&own, &ego);
+            let acceleration = behind.acceleration_behind(&ego, &own);
+            let later = behind.advance(&own, &acceleration);
             let m = ahead + (-acceleration.range()).max(Interval::ZERO);
             let ends = behind
                 .gap(&ego, &own)
                 .range()
                 .min(behind.gap(&ego_later, &later).range());
-            least_m = least_m.min((ends - m * eighth).low());
+            min_gap_m = min_gap_m.min((ends - m * eighth).low());
             (own, ego) = (later, ego_later);
         }
-        Some((own, least_m))
+        Some(DrivenFollower {
+            state: own,
+            min_gap_m,
+        })
     }
 
     /// Records the gaps over a decision interval. `driven_m` bounds the gap to a follower with a law. Returns true if
@@ -477,14 +529,8 @@ impl ReachAnalysis<'_> {
         follower: Option<&BrakingVehicle>,
         driven_m: Option<f64>,
     ) -> bool {
-        let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
-        let eighth = interval.sqr() * Interval::point(0.125);
         let acts_mps2 = wanted.range();
-        let braking = (-acts_mps2).max(Interval::ZERO);
-        let least_m = |pair: usize, m: Interval| {
-            let least = before[pair].range().min(now.gaps[pair].range());
-            (least - m * eighth).low()
-        };
+        let ahead_m = self.min_gap_m([&before[0], &now.gaps[0]], (-acts_mps2).max(Interval::ZERO));
         // There is no follower, or one that brakes at most as hard as stated.
         let moves = now.members.ego.speed.range().low() > 0.0;
         let ahead = if moves {
@@ -494,28 +540,43 @@ impl ReachAnalysis<'_> {
         };
         // No vehicle reverses: the gap to a standing follower never falls.
         let latched = follower.filter(|follower| !follower.has_stood(k, self.step));
-        let latched_m =
-            latched.map(|latched| least_m(1, (ahead + latched.rate.range()).max(Interval::ZERO)));
+        let latched_m = latched.map(|latched| {
+            self.min_gap_m(
+                [&before[1], &now.gaps[1]],
+                (ahead + latched.rate.range()).max(Interval::ZERO),
+            )
+        });
         let mut collides = false;
-        for (pair, gap_m) in [Some(least_m(0, braking)), latched_m.or(driven_m)]
+        for (pair, gap_m) in [Some(ahead_m), latched_m.or(driven_m)]
             .into_iter()
             .flatten()
             .enumerate()
         {
-            self.result.gaps_m[pair] = self.result.gaps_m[pair].min(gap_m);
-            if gap_m <= 0.0 {
-                self.record_undecided(
-                    Undecided::MayCollide {
-                        pair,
-                        step: k,
-                        gap_m,
-                    },
-                    &now.gaps[pair],
-                );
-            }
+            self.record_gap(k, pair, gap_m, &now.gaps[pair]);
             collides |= now.gaps[pair].range().high() < 0.0;
         }
         collides
+    }
+
+    /// Bounds a gap in metres over a decision interval from below, by its values at both `ends` and a bound of its
+    /// second derivative.
+    fn min_gap_m(&self, ends: [&AffineForm; 2], second_derivative: Interval) -> f64 {
+        let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
+        let eighth = interval.sqr() * Interval::point(0.125);
+        let least = ends[0].range().min(ends[1].range());
+        (least - second_derivative * eighth).low()
+    }
+
+    fn record_gap(&mut self, k: u32, pair: usize, gap_m: f64, gap: &AffineForm) {
+        self.result.gaps_m[pair] = self.result.gaps_m[pair].min(gap_m);
+        if gap_m <= 0.0 {
+            let undecided = Undecided::MayCollide {
+                pair,
+                step: k,
+                gap_m,
+            };
+            self.record_undecided(undecided, gap);
+        }
     }
 
     /// Records the first undecided result, and the sensitivity to each dimension.

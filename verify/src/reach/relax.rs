@@ -17,6 +17,14 @@ use crate::interval::Interval;
 
 const ONE: Interval = Interval::ONE;
 
+/// A function f within `slope` x + `deviation`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct LinearBound {
+    pub(super) slope: f64,
+    /// Bounds of f(x) - `slope` x.
+    pub(super) deviation: Interval,
+}
+
 pub(super) fn linear_enclosure(x: &AffineForm, slope: f64, low: f64, high: f64) -> AffineForm {
     let Some(off) = Interval::new(low, high) else {
         return AffineForm::entire();
@@ -39,22 +47,27 @@ pub fn relu(x: &AffineForm) -> AffineForm {
 /// Returns max(0, x) for members x of at least `floor`, which is not positive; unspecified for the others.
 #[must_use]
 pub(super) fn relu_above(x: &AffineForm, floor: f64) -> AffineForm {
-    let (low, high) = (x.range().low().max(floor), x.range().high());
+    let low = x.range().low().max(floor);
+    let high = x.range().high();
     if low >= 0.0 {
         return x.clone();
     }
     if high <= 0.0 {
         return AffineForm::default();
     }
-    let (slope, excess) = relu_relaxation(low, high);
-    linear_enclosure(x, slope, 0.0, excess)
+    let slope = relu_slope(low, high);
+    linear_enclosure(x, slope, 0.0, relu_excess(slope, low, high))
 }
 
-/// Returns for l < 0 < h a slope s in [0, 1], and M with 0 ≤ max(0, x) - s x ≤ M: by convexity the larger of -s l and
-/// (1 - s) h.
-pub(super) fn relu_relaxation(low: f64, high: f64) -> (f64, f64) {
-    let slope = (high / (high - low)).clamp(0.0, 1.0);
-    (slope, round_up((-slope * low).max((1.0 - slope) * high)))
+/// Returns for l < 0 < h a slope s in [0, 1], near the chord's.
+pub(super) fn relu_slope(low: f64, high: f64) -> f64 {
+    (high / (high - low)).clamp(0.0, 1.0)
+}
+
+/// Returns M with 0 ≤ max(0, x) - s x ≤ M over [l, h], for l < 0 < h and 0 ≤ s ≤ 1: by convexity the larger of -s l
+/// and (1 - s) h.
+pub(super) fn relu_excess(slope: f64, low: f64, high: f64) -> f64 {
+    round_up((-slope * low).max((1.0 - slope) * high))
 }
 
 /// Returns max(0, x)².
@@ -63,11 +76,10 @@ pub fn relu_squared(x: &AffineForm) -> AffineForm {
     if x.range().high() <= 0.0 {
         return AffineForm::default();
     }
-    let rectified = |x: Interval| x.max(Interval::ZERO);
     relax_convex(
         x,
-        |x| rectified(x).sqr(),
-        |x| rectified(x) + rectified(x),
+        |x| x.max(Interval::ZERO).sqr(),
+        |x| x.max(Interval::ZERO) + x.max(Interval::ZERO),
         |slope| slope / 2.0,
     )
 }
@@ -92,29 +104,37 @@ fn relax_convex(
     derivative: impl Fn(Interval) -> Interval,
     touch: impl Fn(f64) -> f64,
 ) -> AffineForm {
-    let (low, high) = (x.range().low(), x.range().high());
-    let [least, most] = [low, high].map(|end| derivative(Interval::point(end)).low());
-    let (slope, highest) = chord([low, high], &value, [least, most]);
-    linear_enclosure(
-        x,
-        slope,
-        tangent_lower_bound(value, derivative, slope, touch(slope), [low, high]),
-        highest,
-    )
+    let ends = [x.range().low(), x.range().high()];
+    let limits = ends.map(|end| derivative(Interval::point(end)).low());
+    let chord = Chord::new(ends, &value, limits);
+    let lowest = tangent_lower_bound(value, derivative, chord.slope, touch(chord.slope), ends);
+    linear_enclosure(x, chord.slope, lowest, chord.highest)
 }
 
-/// Returns a slope near the chord's, within limits, and the maximum of f - s x for convex f, which is at an end.
-fn chord(
-    [low, high]: [f64; 2],
-    value: impl Fn(Interval) -> Interval,
-    [least, most]: [f64; 2],
-) -> (f64, f64) {
-    let [at_low, at_high] = [low, high].map(|end| value(Interval::point(end)));
-    let chord = (at_high.low() - at_low.low()) / (high - low);
-    let slope = chord.max(least).min(most);
-    let above =
-        |end: f64, value: Interval| (value - Interval::point(slope) * Interval::point(end)).high();
-    (slope, above(low, at_low).max(above(high, at_high)))
+/// A slope s near that of the chord of a convex f, and the maximum of f - s x, which is at an end.
+struct Chord {
+    slope: f64,
+    highest: f64,
+}
+
+impl Chord {
+    /// Creates the chord over [`low`, `high`] with a slope between `least` and `most`.
+    fn new(
+        [low, high]: [f64; 2],
+        value: impl Fn(Interval) -> Interval,
+        [least, most]: [f64; 2],
+    ) -> Self {
+        let [at_low, at_high] = [low, high].map(|end| value(Interval::point(end)));
+        let chord = (at_high.low() - at_low.low()) / (high - low);
+        let slope = chord.max(least).min(most);
+        let above = |end: f64, value: Interval| {
+            (value - Interval::point(slope) * Interval::point(end)).high()
+        };
+        Self {
+            slope,
+            highest: above(low, at_low).max(above(high, at_high)),
+        }
+    }
 }
 
 /// Bounds f(x) - s x over [l, h] from below for convex f, by the tangent near `touch`.
@@ -134,14 +154,22 @@ fn tangent_lower_bound(
 /// Returns the hyperbolic tangent.
 #[must_use]
 pub fn hyperbolic_tangent(z: &AffineForm) -> AffineForm {
-    let (slope, off) = tanh_relaxation(z.range().low(), z.range().high());
-    linear_enclosure(z, slope, off.low(), off.high())
+    let bound = tanh_relaxation(z.range().low(), z.range().high());
+    linear_enclosure(
+        z,
+        bound.slope,
+        bound.deviation.low(),
+        bound.deviation.high(),
+    )
 }
 
 /// Returns a slope s, and bounds of tanh z - s z over [l, h].
-pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
+pub(super) fn tanh_relaxation(low: f64, high: f64) -> LinearBound {
     if !(low.is_finite() && high.is_finite()) {
-        return (0.0, (-ONE).hull(ONE));
+        return LinearBound {
+            slope: 0.0,
+            deviation: (-ONE).hull(ONE),
+        };
     }
     let [at_low, at_high] = [low, high].map(tanh);
     let chord = (at_high.low() - at_low.low()) / (high - low);
@@ -150,59 +178,77 @@ pub(super) fn tanh_relaxation(low: f64, high: f64) -> (f64, Interval) {
     } else {
         0.0
     };
-    let touch = (1.0 - slope).sqrt().min(1.0 - 1e-15).atanh();
-    // An upper bound of tanh z - s z for 0 ≤ a ≤ z ≤ b; the negative of the tangent bound of -tanh.
-    let most = |a: f64, b: f64| -> f64 {
-        let steepness = |z: Interval| tanh(z.low()).sqr() - ONE;
-        -tangent_lower_bound(|z| -tanh(z.low()), steepness, -slope, touch, [a, b])
-    };
-    let at = |end: f64, value: Interval| value - Interval::point(slope) * Interval::point(end);
-    let mut bounds = at(low, at_low).hull(at(high, at_high));
+    let mut deviation = (at_low - Interval::point(slope) * Interval::point(low))
+        .hull(at_high - Interval::point(slope) * Interval::point(high));
     if high > 0.0 {
-        bounds = bounds.hull(Interval::point(most(low.max(0.0), high)));
+        let most = tanh_upper_bound(slope, low.max(0.0), high);
+        deviation = deviation.hull(Interval::point(most));
     }
     if low < 0.0 {
-        bounds = bounds.hull(Interval::point(-most((-high).max(0.0), -low)));
+        let most = tanh_upper_bound(slope, (-high).max(0.0), -low);
+        deviation = deviation.hull(Interval::point(-most));
     }
     // A line that exceeds the range of tanh is worse than a constant.
-    let reach = slope * (0.5 * high - 0.5 * low) + 0.5 * (bounds.high() - bounds.low());
+    let reach = slope * (0.5 * high - 0.5 * low) + 0.5 * (deviation.high() - deviation.low());
     if reach < 1.0 {
-        (slope, bounds)
+        LinearBound { slope, deviation }
     } else {
-        (0.0, at_low.hull(at_high))
+        LinearBound {
+            slope: 0.0,
+            deviation: at_low.hull(at_high),
+        }
     }
 }
 
+/// Bounds tanh z - s z from above for 0 ≤ `low` ≤ z ≤ `high`: the negative of the tangent bound of -tanh.
+fn tanh_upper_bound(slope: f64, low: f64, high: f64) -> f64 {
+    let touch = (1.0 - slope).sqrt().min(1.0 - 1e-15).atanh();
+    -tangent_lower_bound(
+        |z| -tanh(z.low()),
+        |z| tanh(z.low()).sqr() - ONE,
+        -slope,
+        touch,
+        [low, high],
+    )
+}
+
 /// Returns for l < 0 a slope s, and bounds of f(x) - s x over [l, h] for the ELU f.
-pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> (f64, Interval) {
+pub(super) fn elu_relaxation(alpha: f64, low: f64, high: f64) -> LinearBound {
     if !(low.is_finite() && high.is_finite()) {
-        return (0.0, Interval::ENTIRE);
+        return LinearBound {
+            slope: 0.0,
+            deviation: Interval::ENTIRE,
+        };
     }
-    let value = |x: Interval| elu(alpha, x.low());
     if !(0.0..=1.0).contains(&alpha) {
-        let ends = value(Interval::point(low)).hull(value(Interval::point(high)));
-        return (
-            0.0,
-            if high > 0.0 {
-                ends.hull(Interval::ZERO)
-            } else {
-                ends
-            },
-        );
+        let ends = elu(alpha, low).hull(elu(alpha, high));
+        let deviation = if high > 0.0 {
+            ends.hull(Interval::ZERO)
+        } else {
+            ends
+        };
+        return LinearBound {
+            slope: 0.0,
+            deviation,
+        };
     }
-    let (slope, highest) = chord([low, high], value, [0.0, 1.0]);
-    let least = if slope >= alpha {
+    let chord = Chord::new([low, high], |x| elu(alpha, x.low()), [0.0, 1.0]);
+    let least = if chord.slope >= alpha {
         0.0
     } else {
-        // The point where α eˣ is the slope. Above 0, f - s x grows from its value at 0.
-        let touch = (slope / alpha).ln().clamp(-40.0, 0.0);
-        let steepness = |x: Interval| Interval::point(alpha) * exp(x.low());
-        tangent_lower_bound(value, steepness, slope, touch, [low, high.min(0.0)])
+        tangent_lower_bound(
+            |x| elu(alpha, x.low()),
+            |x| Interval::point(alpha) * exp(x.low()),
+            chord.slope,
+            // The point where α eˣ is the slope. Above 0, f - s x grows from its value at 0.
+            (chord.slope / alpha).ln().clamp(-40.0, 0.0),
+            [low, high.min(0.0)],
+        )
     };
-    (
-        slope,
-        Interval::new(least, highest).unwrap_or(Interval::ENTIRE),
-    )
+    LinearBound {
+        slope: chord.slope,
+        deviation: Interval::new(least, chord.highest).unwrap_or(Interval::ENTIRE),
+    }
 }
 
 fn elu(alpha: f64, x: f64) -> Interval {
@@ -238,13 +284,15 @@ pub fn tanh(z: f64) -> Interval {
 #[must_use]
 pub(crate) fn exp_neg(y: f64) -> Interval {
     let t = Interval::point(y / 1024.0);
-    // 1 - t/1 (1 - t/2 (… (1 - t/8))), and the sum of one degree less.
-    let sum = |degree: u32| {
-        (1..=degree).rev().fold(ONE, |sum, n| {
-            ONE - t.over(Interval::point(f64::from(n))) * sum
-        })
-    };
-    (0..10).fold(sum(7).hull(sum(8)), |power, _| power.sqr())
+    let enclosure = taylor_exp_neg(t, 7).hull(taylor_exp_neg(t, 8));
+    (0..10).fold(enclosure, |power, _| power.sqr())
+}
+
+/// Returns the Taylor sum of e⁻ᵗ: 1 - t/1 (1 - t/2 (… (1 - t/`degree`))).
+fn taylor_exp_neg(t: Interval, degree: u32) -> Interval {
+    (1..=degree).rev().fold(ONE, |sum, n| {
+        ONE - t.over(Interval::point(f64::from(n))) * sum
+    })
 }
 
 #[cfg(test)]

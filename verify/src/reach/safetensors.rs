@@ -12,7 +12,7 @@ use std::fmt;
 use serde::Deserialize;
 use serde::de::{Deserializer, Error, MapAccess, Visitor};
 
-use super::controller::{NetworkLayer, NeuralController};
+use super::controller::{LinearLayer, NetworkLayer, NeuralController};
 use super::{network_file, policy_file};
 
 /// Maximum width of a layer, and of numbers between layers: bounds on rounding rely on them.
@@ -63,21 +63,20 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<SafetensorsHeader, A::Error> {
-        let (mut description, mut tensors) = (None, BTreeMap::new());
-        let doubled = |name: &str| A::Error::custom(format_args!("duplicate key {name:?}"));
+        let mut description = None;
+        let mut tensors = BTreeMap::new();
         while let Some(name) = entries.next_key::<String>()? {
-            if name == "__metadata__" {
-                if description
+            let is_duplicate = if name == "__metadata__" {
+                description
                     .replace(entries.next_value::<Metadata>()?)
                     .is_some()
-                {
-                    return Err(doubled(&name));
-                }
-            } else if tensors
-                .insert(name.clone(), entries.next_value::<TensorInfo>()?)
-                .is_some()
-            {
-                return Err(doubled(&name));
+            } else {
+                tensors
+                    .insert(name.clone(), entries.next_value::<TensorInfo>()?)
+                    .is_some()
+            };
+            if is_duplicate {
+                return Err(A::Error::custom(format_args!("duplicate key {name:?}")));
             }
         }
         let description =
@@ -92,13 +91,13 @@ impl<'de> Visitor<'de> for SafetensorsHeaderVisitor {
 impl SafetensorsFile<'_> {
     /// Checks that tensors lie one after the other, without a gap, and up to the end.
     fn check_offsets(&self) -> Result<(), String> {
-        let mut places: Vec<[usize; 2]> = self
+        let mut offsets: Vec<[usize; 2]> = self
             .tensors
             .values()
             .map(|entry| entry.data_offsets)
             .collect();
-        places.sort_unstable();
-        let end = places.iter().try_fold(0, |end, &[from, to]| {
+        offsets.sort_unstable();
+        let end = offsets.iter().try_fold(0, |end, &[from, to]| {
             (from == end && to >= from).then_some(to)
         });
         let is_whole = end == Some(self.data.len());
@@ -124,10 +123,10 @@ impl SafetensorsFile<'_> {
             .iter()
             .try_fold(4_usize, |bytes, &size| bytes.checked_mul(size));
         let numbers = numbers.filter(|bytes| Some(bytes.len()) == length);
-        let (numbers, _) = numbers
-            .ok_or_else(|| format!("tensor {name} has a wrong type or shape"))?
-            .as_chunks::<4>();
         let numbers: Vec<f64> = numbers
+            .ok_or_else(|| format!("tensor {name} has a wrong type or shape"))?
+            .as_chunks::<4>()
+            .0
             .iter()
             .map(|&bytes| f32::from_le_bytes(bytes).into())
             .collect();
@@ -138,6 +137,22 @@ impl SafetensorsFile<'_> {
                 "tensor {name} contains a number that is not finite"
             ))
         }
+    }
+}
+
+impl LinearLayer {
+    /// Bounds the magnitudes of the outputs for magnitudes of the inputs up to `bounds`.
+    fn max_magnitudes(&self, bounds: &[f64]) -> Vec<f64> {
+        let mut sums: Vec<f64> = self.biases.iter().map(|bias| bias.abs()).collect();
+        for (bound, row) in bounds
+            .iter()
+            .zip(self.weights.chunks_exact(self.outputs.max(1)))
+        {
+            sums.iter_mut()
+                .zip(row)
+                .for_each(|(sum, weight)| *sum += bound * weight.abs());
+        }
+        sums
     }
 }
 
@@ -184,39 +199,28 @@ impl NeuralController {
     pub(super) fn max_output_magnitude(&self) -> Result<f64, usize> {
         // Half of the range is left for rounding.
         let highest = 0.5 * f64::from(f32::MAX);
-        let fits = |bounds: &[f64]| bounds.iter().all(|&bound| bound <= highest);
         let mut bounds: Vec<f64> = self
             .inputs
             .iter()
             .map(|input| input.low.abs().max(input.high.abs()))
             .collect();
         let mut layers = 0;
-        if !fits(&bounds) {
+        if !bounds.iter().all(|&bound| bound <= highest) {
             return Err(layers);
         }
         for step in &self.layers {
             match step {
                 NetworkLayer::Linear(layer) => {
-                    let mut sums: Vec<f64> = layer.biases.iter().map(|bias| bias.abs()).collect();
-                    for (bound, row) in bounds
-                        .iter()
-                        .zip(layer.weights.chunks_exact(layer.outputs.max(1)))
-                    {
-                        sums.iter_mut()
-                            .zip(row)
-                            .for_each(|(sum, weight)| *sum += bound * weight.abs());
-                    }
-                    bounds = sums;
+                    bounds = layer.max_magnitudes(&bounds);
                     layers += 1;
                 }
-                NetworkLayer::Activation(each) => {
-                    bounds
-                        .iter_mut()
-                        .enumerate()
-                        .for_each(|(number, bound)| *bound = each.max_magnitude(number, *bound));
+                NetworkLayer::Activation(activation) => {
+                    bounds.iter_mut().enumerate().for_each(|(number, bound)| {
+                        *bound = activation.max_magnitude(number, *bound)
+                    });
                 }
             }
-            if !fits(&bounds) {
+            if !bounds.iter().all(|&bound| bound <= highest) {
                 return Err(layers.saturating_sub(1));
             }
         }
@@ -254,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_answer_is_a_sum_of_sizes() {
+    fn the_largest_output_is_a_sum_of_magnitudes() {
         let plain = layer([1.0, -2.0, 0.5, 4.0], [-0.25, 1.0]);
         for (answer, expected) in [(0, 2.0 + 1.5 + 0.25), (1, 4.0 + 12.0 + 1.0)] {
             assert_eq!(
@@ -322,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tensor_is_of_the_type_and_the_shape_that_are_asked_for() {
+    fn a_tensor_must_have_the_requested_type_and_shape() {
         let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {
             let data: Vec<u8> = numbers
                 .iter()

@@ -1,7 +1,7 @@
 //! Volume shares of the cells of a box. Counting cuts is not enough: in a range of a few floating-point numbers the
 //! middle is rounded.
 
-use super::{InitialRanges, PartitionCell, ReachClaim};
+use super::{PartitionCell, ReachClaim};
 use crate::Rejection;
 use crate::interval::Interval;
 
@@ -18,33 +18,38 @@ impl ReachClaim {
         {
             return Ok([1.0, 0.0]);
         }
-        let of = |sums: [f64; 2], (cell, _, share): (PartitionCell, InitialRanges, f64)| match cell
-        {
-            PartitionCell::Verified => [add_shares(sums[0], share), sums[1]],
-            PartitionCell::Falsified(_) => [sums[0], add_shares(sums[1], share)],
-            PartitionCell::Undecided | PartitionCell::Cut(_) => sums,
-        };
-        Ok(leaves.into_iter().fold([0.0; 2], of))
+        let mut verified = 0.0;
+        let mut falsified = 0.0;
+        for (cell, _, share) in leaves {
+            match cell {
+                PartitionCell::Verified => verified = add_shares(verified, share),
+                PartitionCell::Falsified(_) => falsified = add_shares(falsified, share),
+                PartitionCell::Undecided | PartitionCell::Cut(_) => {}
+            }
+        }
+        Ok([verified, falsified])
     }
 }
 
 /// Bounds from below the volume share of a part of a bisected cell with share `share`, rounding of the middle included.
 pub(super) fn part_share(share: f64, part: Interval, whole: Interval) -> f64 {
-    // Exact width: the rounded number and its rounding error.
-    let width = |range: Interval| {
-        let (high, low) = (range.high(), -range.low());
-        let sum = high + low;
-        let of_low = sum - high;
-        (sum, (high - (sum - of_low)) + (low - of_low))
-    };
-    let (of_part, of_whole) = (width(part), width(whole));
-    if of_part == (0.5 * of_whole.0, 0.5 * of_whole.1) {
+    if exact_width(part) == exact_width(whole).map(|number| 0.5 * number) {
         return 0.5 * share;
     }
-    let size = |range: Interval| Interval::point(range.high()) - Interval::point(range.low());
-    (Interval::point(share) * size(part).over(size(whole)))
+    let [part_width, whole_width] =
+        [part, whole].map(|range| Interval::point(range.high()) - Interval::point(range.low()));
+    (Interval::point(share) * part_width.over(whole_width))
         .low()
         .clamp(0.0, share)
+}
+
+/// Returns the rounded width of a range, and its rounding error.
+fn exact_width(range: Interval) -> [f64; 2] {
+    let high = range.high();
+    let low = -range.low();
+    let sum = high + low;
+    let of_low = sum - high;
+    [sum, (high - (sum - of_low)) + (low - of_low)]
 }
 
 /// Adds two shares, rounded down unless exact.

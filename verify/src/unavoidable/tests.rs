@@ -42,10 +42,10 @@ proptest! {
         h in 0.01..2.0_f64,
     ) {
         let ego = ego(brake, accel);
-        let found = min_step_integral(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));
+        let actual = min_step_integral(&ego, Interval::point(begin), Interval::point(end), Interval::point(h));
         let least = integral(&ego, [begin, end], h);
-        prop_assert!(rational(found.low()) <= least);
-        prop_assert!(least - rational(found.low()) < rational(1e-12 * (1.0 + found.low().abs())), "{found:?}");
+        prop_assert!(rational(actual.low()) <= least);
+        prop_assert!(least - rational(actual.low()) < rational(1e-12 * (1.0 + actual.low().abs())), "{actual:?}");
     }
 }
 
@@ -61,10 +61,10 @@ fn a_q_that_may_be_zero_at_an_end_is_integrated_as_a_trapezoid() {
         (of(-2.0, 0.0), point(1.0), -brake - 2.0 * accel),
         (point(-1.0), of(0.0, 2.0), -2.0 * brake - accel),
     ] {
-        let found = min_step_integral(&ego(brake, accel), begin, end, point(0.5)).low();
+        let actual = min_step_integral(&ego(brake, accel), begin, end, point(0.5)).low();
         assert!(
-            (found - 0.25 * expected).abs() < 1e-12,
-            "{begin:?} {end:?}: {found}"
+            (actual - 0.25 * expected).abs() < 1e-12,
+            "{begin:?} {end:?}: {actual}"
         );
     }
 }

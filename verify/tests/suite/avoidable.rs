@@ -323,7 +323,7 @@ fn check_with_follower(
 
 /// A brake that has fired and whose reaction is over stops the vehicle; any other brake may never fire.
 #[test]
-fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
+fn after_the_horizon_a_follower_stops_only_if_it_brakes() {
     use SafetyAfterHorizon::{ForAnyLeader, UnlessLeaderBrakes, Unproved};
     let followed_afterwards = |gap_m, mps, ttc_s, reaction_steps| {
         check_with_follower(gap_m, mps, ttc_s, reaction_steps).1
@@ -363,7 +363,7 @@ fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
 
 /// The follower may begin to brake anywhere in a step: a gap may be smaller by b h²/8 than at both ends.
 #[test]
-fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
+fn the_curvature_of_a_gap_includes_the_followers_braking() {
     for (gap_m, mps) in [(5.0, 9.0), (5.0, 10.0), (1.0, 9.5)] {
         let (min_gap_m, _) = check_with_follower(gap_m, mps, 0.0, 0);
         let expected = gap_m - 6.0 * 0.0625 / 8.0;
@@ -376,7 +376,7 @@ fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
 
 /// A bound of subnormal gaps may round to zero, which is a collision.
 #[test]
-fn a_gap_that_is_proved_is_more_than_nothing() {
+fn a_proved_gap_is_positive() {
     let (mut touching, mut clear) = (0, 0);
     for ulps in 0..60 {
         let (mut scene, _) = calm_scene();

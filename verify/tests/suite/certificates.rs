@@ -299,7 +299,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(3000))]
 
     #[test]
-    fn no_file_brings_the_check_down(
+    fn no_file_makes_the_checker_panic(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any_json()), 1..4), which in any::<bool>(),
     ) {
         let mut file = shared_file(which);
@@ -337,7 +337,7 @@ proptest! {
     }
 
     #[test]
-    fn written_and_read_again_it_is_the_same((scene, branches) in proofs(2)) {
+    fn certificates_survive_a_round_trip((scene, branches) in proofs(2)) {
         let certificate = certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }));
         let text = serde_json::to_string(&certificate).unwrap();
         prop_assert_eq!(Certificate::from_json(&text).unwrap(), certificate);
@@ -345,7 +345,7 @@ proptest! {
 }
 
 #[test]
-fn a_file_is_as_long_as_is_allowed_and_no_longer() {
+fn the_limit_of_the_file_size_is_exact() {
     let most = crumple_verify::certificate::MAX_BYTES;
     let (file, mut text) = (avoidable_file().to_string(), " ".repeat(most + 1));
     text.replace_range(..file.len(), &file);
@@ -357,7 +357,7 @@ fn a_file_is_as_long_as_is_allowed_and_no_longer() {
 }
 
 #[test]
-fn results_are_printed_in_words() {
+fn proved_claims_are_printed_as_sentences() {
     let reach = |verified_share, has_follower, leader_brakes_at_most_mps2| {
         ProvedClaim::Reach {
             verified_share,

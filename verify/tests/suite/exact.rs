@@ -60,8 +60,8 @@ fn is_bounded(
     (trace, least): &(Vec<[FixedPointInterval; 8]>, [FixedPointInterval; 2]),
 ) -> Result<(), String> {
     if let Some(gaps_m) = gaps_m {
-        let (found, [ahead, behind]) = (least.each_ref(), gaps_m);
-        if !found[0].is_at_least(ahead) || !found[1].is_at_least(behind) {
+        let (actual, [ahead, behind]) = (least.each_ref(), gaps_m);
+        if !actual[0].is_at_least(ahead) || !actual[1].is_at_least(behind) {
             return Err(format!("{least:?} below {gaps_m:?}"));
         }
     }

@@ -66,7 +66,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
     #[test]
-    fn results_hold_the_exact_results(
+    fn affine_forms_contain_the_exact_results(
         x in form(),
         y in form(),
         (factor, by) in interval(),
@@ -98,7 +98,7 @@ proptest! {
 
     /// A joined form keeps common parts, stays in the hull, and is as far from either form as from the other.
     #[test]
-    fn joined_forms_do_not_grow((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
+    fn the_join_of_forms_stays_within_the_hull((x, _) in form(), (y, _) in form(), by in 0.1..10.0_f64) {
         let joined = x.join(&y).range();
         let both = x.range().hull(y.range());
         let slack = 1e-11 * (1e-280 + both.low().abs().max(both.high().abs()));
@@ -108,15 +108,15 @@ proptest! {
         let joined = x.join(&farther);
         let size = 1.0 + x.centre().abs() + x.radius();
         prop_assert_eq!(joined.terms().len(), x.terms().len());
-        for (found, term) in joined.terms().iter().zip(x.terms()) {
-            prop_assert_eq!(found, term);
+        for (actual, term) in joined.terms().iter().zip(x.terms()) {
+            prop_assert_eq!(actual, term);
         }
         prop_assert!((joined.rest() - x.rest() - 0.5 * by).abs() <= 1e-10 * size);
     }
 
     /// Checks for at least half a unit in the last place per product and sum.
     #[test]
-    fn small_numbers_round_as_well(c in 1e-4..1e-2_f64, d in 1e-4..1e-2_f64, factor in 1e-3..0.5_f64) {
+    fn small_numbers_are_rounded_too(c in 1e-4..1e-2_f64, d in 1e-4..1e-2_f64, factor in 1e-3..0.5_f64) {
         let mut sum = AffineForm::constant(Interval::point(c));
         sum.add_scaled(&AffineForm::constant(Interval::point(d)), Interval::point(factor));
         let least = 0.5 * f64::EPSILON * (factor * d + c + factor * d);

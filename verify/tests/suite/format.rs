@@ -108,7 +108,7 @@ fn a_key_of_a_configuration_may_not_occur_twice() {
 }
 
 #[test]
-fn the_same_in_other_words_is_refused() {
+fn files_that_are_not_canonical_are_refused() {
     for (from, to) in [
         ("\"version\":2,", "\"version\":2 ,\"provenance\":null,"),
         ("\"scenario\":\"by hand\"", "\"scenario\":\"by\\u0020hand\""),
@@ -187,7 +187,7 @@ fn a_statement_is_bound_to_the_text_it_names() {
 }
 
 #[test]
-fn a_registration_and_its_provenance_say_the_same() {
+fn a_registration_must_agree_with_its_provenance() {
     let entry = |key: &'static str, value: &'static str| {
         move |certificate: &mut Certificate| {
             let Statement::Rate(rate) = &mut certificate.statement else {
@@ -435,7 +435,7 @@ fn check_mutated(mut certificate: Certificate, change: impl FnOnce(&mut Certific
 }
 
 #[test]
-fn blocks_hold_as_many_failures_as_runs_and_no_more() {
+fn a_block_has_at_most_as_many_failures_as_runs() {
     let of_rate = |failures: [u64; 3]| {
         check_mutated(rate(), |certificate| {
             let Statement::Rate(claim) = &mut certificate.statement else {
@@ -764,7 +764,7 @@ fn statements_have_the_names_used_in_files() {
 }
 
 #[test]
-fn a_policy_is_looked_for_beside_its_certificate() {
+fn the_policy_is_read_from_the_folder_of_its_certificate() {
     let network = network();
     let digest = sha256("network");
     let name = format!("network-{}.safetensors", &digest[..12]);

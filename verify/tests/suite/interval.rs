@@ -28,7 +28,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
     #[test]
-    fn results_hold_all_exact_results((x, of_x) in interval(), (y, of_y) in interval()) {
+    fn intervals_contain_all_exact_results((x, of_x) in interval(), (y, of_y) in interval()) {
         for a in of_x {
             for b in of_y {
                 prop_assert!(holds(x + y, &(rational(a) + rational(b))));
@@ -61,14 +61,14 @@ proptest! {
     }
 
     #[test]
-    fn files_keep_every_bit((x, _) in interval()) {
+    fn intervals_in_files_keep_every_bit((x, _) in interval()) {
         let text = serde_json::to_string(&x).unwrap();
         prop_assert_eq!(serde_json::from_str::<Interval>(&text).unwrap(), x);
     }
 }
 
 #[test]
-fn undefined_values_are_the_whole_line() {
+fn undefined_results_are_the_whole_line() {
     let everything = |interval: Interval| {
         interval.low() == f64::NEG_INFINITY && interval.high() == f64::INFINITY
     };

@@ -113,7 +113,7 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 }
 
 #[test]
-fn the_familiar_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder() {
+fn the_stopping_distance_alone_is_rejected_where_the_own_vehicle_brakes_harder() {
     let rss = KernelClaim {
         catching_up_squared: None,
         ..kernel("8", "5")

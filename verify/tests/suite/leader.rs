@@ -290,7 +290,7 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
         *forged.ranges.get_mut(dimension) = Interval::new(0.0, 0.05).unwrap();
         let field = format!("ranges.{}", dimension.field_name());
         assert!(
-            matches!(check_claim(forged), Err(Rejection::Invalid { field: found, .. }) if found == field)
+            matches!(check_claim(forged), Err(Rejection::Invalid { field: actual, .. }) if actual == field)
         );
     }
     // The assumption missing, doubled, or exchanged with that of a script.
@@ -340,7 +340,7 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
 }
 
 #[test]
-fn a_start_with_a_leader_within_the_limit_falsifies() {
+fn a_collision_with_a_leader_within_the_limit_falsifies() {
     let ranges = unscripted(InitialRanges {
         gap_behind_m: Interval::point(16.0),
         ..paper_box(0.05, 0.0)

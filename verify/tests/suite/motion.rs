@@ -21,7 +21,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
     #[test]
-    fn a_box_holds_its_members_and_not_much_more(
+    fn motion_of_a_box_contains_its_members_tightly(
         v in 0.0..30.0_f64, dv in 0.0..3.0_f64, a in -9.0..3.0_f64, da in 0.0..3.0_f64, t in 0.0..4.0_f64,
         at in (0.0..=1.0_f64, 0.0..=1.0_f64),
     ) {

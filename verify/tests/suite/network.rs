@@ -186,13 +186,13 @@ proptest! {
         }
         let expected = &numbers[0];
         let off = 1e-3 * expected.rho + 1e-40;
-        let found = network_output(&interleave_relu(layers).collect::<Vec<_>>(), &seen);
-        prop_assert!((found.centre() - expected.centre).abs() <= off, "{found:?} {expected:?}");
+        let actual = network_output(&interleave_relu(layers).collect::<Vec<_>>(), &seen);
+        prop_assert!((actual.centre() - expected.centre).abs() <= off, "{actual:?} {expected:?}");
         for (symbol, expected) in terms(&expected.slopes, &seen).into_iter().enumerate() {
-            let found = found.terms().get(symbol).copied().unwrap_or(0.0);
-            prop_assert!((found - expected).abs() <= off, "symbol {symbol}: {found} {expected}");
+            let actual = actual.terms().get(symbol).copied().unwrap_or(0.0);
+            prop_assert!((actual - expected).abs() <= off, "symbol {symbol}: {actual} {expected}");
         }
         let rest = weighted_sum(&expected.slopes, &seen, AffineForm::rest) + abs_sum(&expected.excess) + expected.rho;
-        prop_assert!((found.rest() - rest).abs() <= off, "{} {rest} {expected:?}", found.rest());
+        prop_assert!((actual.rest() - rest).abs() <= off, "{} {rest} {expected:?}", actual.rest());
     }
 }

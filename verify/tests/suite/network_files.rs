@@ -193,7 +193,7 @@ fn with_inputs(inputs: Vec<Value>, steps: Value) -> Value {
 }
 
 #[test]
-fn a_network_is_as_large_as_is_allowed_and_no_larger() {
+fn limits_of_the_network_size_are_exact() {
     let too_large = Err("describes too large a network".to_owned());
     let relus = |count: usize| json!(vec!["relu"; count]);
     for (inputs, steps) in [(1, 0), (1, 256), (4096, 0), (4096, 1), (31, 256)] {
@@ -357,7 +357,7 @@ fn an_input_has_a_scale_and_limits_in_order() {
 
 /// Checks an output in [-0.5, 0.25], scaled to 1 m/s² to either side of an offset.
 #[test]
-fn an_answer_is_cut_where_it_could_leave_its_bounds() {
+fn an_output_is_clipped_where_it_could_exceed_its_bounds() {
     let numbers = [-0.5, 0.25];
     let is_cut = |scale: f64, [low, high]: [f64; 2], steps: Value| {
         let input =
@@ -439,7 +439,7 @@ fn an_answer_is_cut_where_it_could_leave_its_bounds() {
 }
 
 #[test]
-fn a_header_is_as_long_as_is_allowed_and_no_longer() {
+fn the_limit_of_the_header_size_is_exact() {
     let (controller, file) = any_network_with_file(5);
     let length = u64::from_le_bytes(*file.first_chunk().unwrap()) as usize;
     let padded = |to: usize| {

@@ -136,7 +136,7 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 }
 
 #[test]
-fn the_better_of_two_is_decided_by_discordant_samples() {
+fn the_better_controller_is_decided_by_discordant_samples() {
     let shown = |first, second| check_statement(comparison((100_000, 0.99), first, second)).is_ok();
     assert!(shown(0, 7), "1/128 is below 1 %");
     assert!(!shown(0, 6), "1/64 is not");
@@ -146,7 +146,7 @@ fn the_better_of_two_is_decided_by_discordant_samples() {
 }
 
 #[test]
-fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
+fn too_many_runs_or_only_failures_bound_no_rate() {
     let most = crumple_verify::rate::MAX_RUNS;
     let exact = (most as f64 * (-1e-9_f64).ln_1p()).exp();
     let tail = binomial_tail_upper_bound(0, most, 1e-9);
@@ -174,7 +174,7 @@ fn beyond_the_most_runs_and_with_failures_alone_nothing_is_bounded() {
 
 /// 1 - p rounds to 1, and its upper bound exceeds 1: no factor reduces the product.
 #[test]
-fn a_rate_next_to_nothing_has_all_of_the_tail() {
+fn the_tail_of_a_rate_near_zero_is_one() {
     for runs in 1..9 {
         for failures in 0..runs {
             assert_eq!(

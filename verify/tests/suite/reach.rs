@@ -135,7 +135,7 @@ proptest! {
 
     /// Checks the output of random networks and inputs against the affine form.
     #[test]
-    fn a_network_s_answers_are_in_its_bounds(
+    fn network_outputs_are_within_the_bounds(
         seed: u64, radii in prop::array::uniform8(0.0..0.5_f64),
         at in prop::collection::vec(prop::array::uniform8(-1.0..=1.0_f64), 10),
     ) {
@@ -254,9 +254,9 @@ pub fn min_gap_under_attack(
     let mut best = ([0.5; 8], gap([0.5; 8]));
     for _ in 0..random {
         let place = std::array::from_fn(|_| numbers.next_unit());
-        let found = gap(place);
-        if found < best.1 {
-            best = (place, found);
+        let actual = gap(place);
+        if actual < best.1 {
+            best = (place, actual);
         }
     }
     for round in 0..adversarial {
@@ -264,9 +264,9 @@ pub fn min_gap_under_attack(
         let place = best
             .0
             .map(|at: f64| (at + size * numbers.next_signed()).clamp(0.0, 1.0));
-        let found = gap(place);
-        if found < best.1 {
-            best = (place, found);
+        let actual = gap(place);
+        if actual < best.1 {
+            best = (place, actual);
         }
     }
     best.1
@@ -540,7 +540,7 @@ fn accepted_changed_certificates_are_true() {
             }
         }
         // Version 1 took every cut for one in equal halves.
-        let is_enough = |found: f64, stated: f64| found + 1e-9 >= stated;
+        let is_enough = |actual: f64, stated: f64| actual + 1e-9 >= stated;
         assert!(
             is_enough(verified, claim.verified_share_at_least),
             "{change}"
@@ -614,8 +614,11 @@ fn a_decision_at_every_step_is_bounded_as_well() {
                 ));
             }
         }
-        for (proved, found) in reached.gaps_m.into_iter().zip(found_m) {
-            assert!(proved <= found && found < proved + 0.5, "{proved} {found}");
+        for (proved, actual) in reached.gaps_m.into_iter().zip(found_m) {
+            assert!(
+                proved <= actual && actual < proved + 0.5,
+                "{proved} {actual}"
+            );
         }
     }
 }
@@ -624,7 +627,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn functions_of_forms_hold_the_values(
+    fn functions_of_forms_contain_the_values(
         centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64),
         at in prop::array::uniform3(-1.0..=1.0_f64),
     ) {

@@ -397,7 +397,7 @@ fn the_largest_unkept_gap_is_that_of_full_braking() {
 
 /// The standing follower never brakes: a branch in which it does is empty.
 #[test]
-fn an_empty_branch_takes_nothing_away() {
+fn an_empty_branch_does_not_change_the_overlap() {
     let follower = follower_at(-50.0, 0.0);
     let fires = |k: u32| Branch {
         first: k,
@@ -457,7 +457,7 @@ fn a_branch_alone_lies_within_the_instants_too() {
 
 /// A quotient of subnormal numbers may round to zero although the sum does not.
 #[test]
-fn an_overlap_that_is_proved_is_more_than_nothing() {
+fn a_proved_overlap_is_positive() {
     let mut proved = 0;
     for (ulps, y) in (1..12).flat_map(|ulps| (1..40).map(move |y| (ulps, y))) {
         let mut scene = stopping_scene(0.0, None);

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::RegressionResults;
-use super::regression_spaces::SIGNIFICANCE;
+use super::regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};
 use crate::rl::{TIME_GAP_RANGE_S, TrafficUsefulness};
 use crumple_core::digits::format_rounded;
 use crumple_evidence::DiscordantPairs;
@@ -121,8 +121,8 @@ impl fmt::Display for FailureChange {
     }
 }
 
-fn only_in_first<'a, T: PartialEq>(one: &'a [T], other: &'a [T]) -> impl Iterator<Item = &'a T> {
-    one.iter().filter(|item| !other.contains(item))
+fn only_in_first<'a, T: PartialEq>(first: &'a [T], second: &'a [T]) -> impl Iterator<Item = &'a T> {
+    first.iter().filter(|item| !second.contains(item))
 }
 
 /// Accepts a candidate if it has fewer collisions in the validation set or in the cases, no more in the validation set,
@@ -151,46 +151,20 @@ pub fn decide_acceptance(
         objections.push(RejectionReason::Nominal { draws });
     }
     for after in &after.regression {
-        let Some(before) = before
+        if let Some(before) = before
             .regression
             .iter()
             .find(|before| before.space == after.space)
-        else {
-            continue;
-        };
-        let contacts = discordant_pairs(&before.contacts, &after.contacts);
-        if contacts.is_worse(SIGNIFICANCE) {
-            objections.push(RejectionReason::MoreCollisions {
-                space: after.space.clone(),
-                contacts,
-            });
-        }
-        let usefulness = before.not_useful.as_ref().zip(after.not_useful.as_ref());
-        let drives = usefulness.map(|(before, after)| discordant_pairs(before, after));
-        if let Some(drives) = drives.filter(|drives| drives.is_worse(SIGNIFICANCE)) {
-            objections.push(RejectionReason::LessUseful {
-                space: after.space.clone(),
-                drives,
-            });
+        {
+            objections.extend(objections_in_space(before, after));
         }
     }
     if let (Some(initial), Some(before), Some(after)) =
         (&initial.usefulness, &before.usefulness, &after.usefulness)
     {
-        let measures = worse_in_traffic(initial, before, after);
-        if !measures.is_empty() {
-            objections.push(RejectionReason::WorseInTraffic { measures });
-        }
-        let [gain_before, gain_after] = [before, after].map(|found| found.line_gain);
-        let is_amplified = |gain: f64| gain > gain_before.map_or(1.0, |before| before.max(1.0));
-        if gain_after.map_or(gain_before.is_some(), is_amplified) {
-            objections.push(RejectionReason::LineGain {
-                before: gain_before,
-                after: gain_after,
-            });
-        }
+        objections.extend(objections_in_traffic(initial, before, after));
     }
-    let (before, after) = (before.validation_set.len(), after.validation_set.len());
+    let [before, after] = [before, after].map(|results| results.validation_set.len());
     if after > before {
         objections.push(RejectionReason::ValidationSet { before, after });
     }
@@ -202,6 +176,51 @@ pub fn decide_acceptance(
     } else {
         Acceptance::Rejected { objections }
     }
+}
+
+/// Lists the properties that are significantly worse in a regression space.
+fn objections_in_space(
+    before: &RegressionSpaceResult,
+    after: &RegressionSpaceResult,
+) -> impl Iterator<Item = RejectionReason> {
+    let contacts = discordant_pairs(&before.contacts, &after.contacts);
+    let more_collisions =
+        contacts
+            .is_worse(SIGNIFICANCE)
+            .then(|| RejectionReason::MoreCollisions {
+                space: after.space.clone(),
+                contacts,
+            });
+    let less_useful = before
+        .not_useful
+        .as_ref()
+        .zip(after.not_useful.as_ref())
+        .map(|(before, after)| discordant_pairs(before, after))
+        .filter(|drives| drives.is_worse(SIGNIFICANCE))
+        .map(|drives| RejectionReason::LessUseful {
+            space: after.space.clone(),
+            drives,
+        });
+    more_collisions.into_iter().chain(less_useful)
+}
+
+/// Lists what is worse in everyday traffic.
+fn objections_in_traffic(
+    initial: &TrafficUsefulness,
+    before: &TrafficUsefulness,
+    after: &TrafficUsefulness,
+) -> impl Iterator<Item = RejectionReason> {
+    let measures = worse_in_traffic(initial, before, after);
+    let worse = (!measures.is_empty()).then_some(RejectionReason::WorseInTraffic { measures });
+    let is_amplified = match (before.line_gain, after.line_gain) {
+        (before, Some(after)) => after > before.map_or(1.0, |before| before.max(1.0)),
+        (before, None) => before.is_some(),
+    };
+    let amplified = is_amplified.then_some(RejectionReason::LineGain {
+        before: before.line_gain,
+        after: after.line_gain,
+    });
+    worse.into_iter().chain(amplified)
 }
 
 /// Names of the values of [`traffic_measures`].
@@ -254,27 +273,25 @@ fn worse_in_traffic(
     after: &TrafficUsefulness,
 ) -> Vec<(String, f64, f64)> {
     let [initial, before, after] = [initial, before, after].map(traffic_measures);
-    let compare = |index: usize| {
-        let reference = if index < FAULT_MEASURES {
-            before[index]
-        } else {
-            initial[index]
-        };
-        let [low, high] = GOOD_RANGES[index];
-        let outside = |value: f64| {
-            ((low - value) / low.max(1.0))
-                .max((value - high) / high.max(1.0))
-                .max(0.0)
-        };
-        let tolerance = if index < FAULT_MEASURES {
-            0.0
-        } else {
-            COMFORT_TOLERANCE
-        };
-        let is_worse = outside(after[index]) > outside(reference) + tolerance;
-        is_worse.then(|| (TRAFFIC_MEASURES[index].to_owned(), reference, after[index]))
-    };
-    (0..TRAFFIC_MEASURES.len()).filter_map(compare).collect()
+    let mut worse = Vec::new();
+    for index in 0..TRAFFIC_MEASURES.len() {
+        let is_fault = index < FAULT_MEASURES;
+        let reference = if is_fault { before } else { initial }[index];
+        let tolerance = if is_fault { 0.0 } else { COMFORT_TOLERANCE };
+        let [excess_after, excess] =
+            [after[index], reference].map(|value| excess_over_range(value, GOOD_RANGES[index]));
+        if excess_after > excess + tolerance {
+            worse.push((TRAFFIC_MEASURES[index].to_owned(), reference, after[index]));
+        }
+    }
+    worse
+}
+
+/// Returns how far a value is outside a range, relative to the end of the range if that is above 1.
+fn excess_over_range(value: f64, [low, high]: [f64; 2]) -> f64 {
+    ((low - value) / low.max(1.0))
+        .max((value - high) / high.max(1.0))
+        .max(0.0)
 }
 
 pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
@@ -304,76 +321,55 @@ impl fmt::Display for Acceptance {
     }
 }
 
+fn describe_worse_measure((measure, before, after): &(String, f64, f64)) -> String {
+    format!(
+        "{measure} {} instead of {}",
+        to_thousandths(*after),
+        to_thousandths(*before)
+    )
+}
+
+fn describe_gain(gain: Option<f64>) -> String {
+    gain.map_or("none".to_owned(), |gain| to_thousandths(gain).to_string())
+}
+
 impl fmt::Display for RejectionReason {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Paper { scenarios } => write!(out, "new collision in {}", scenarios.join(", ")),
-            Self::Nominal { draws } => {
-                write!(
-                    out,
-                    "{} new collisions in random scenarios of the paper's distribution",
-                    draws.len()
-                )
-            }
-            Self::ValidationSet { before, after } => {
-                write!(
-                    out,
-                    "{after} collisions in the validation set instead of {before}"
-                )
-            }
-            Self::MoreCollisions {
-                space,
-                contacts:
-                    pairs @ DiscordantPairs {
-                        only_second_fails,
-                        only_first_fails,
-                    },
-            } => {
-                let p = format_rounded(pairs.p_value(), 2);
-                write!(
-                    out,
-                    "{only_second_fails} new collisions and {only_first_fails} fixed in {space} (p = {p})"
-                )
-            }
-            Self::LessUseful {
-                space,
-                drives:
-                    pairs @ DiscordantPairs {
-                        only_second_fails,
-                        only_first_fails,
-                    },
-            } => {
-                let (new, fixed, p) = (
-                    only_second_fails,
-                    only_first_fails,
-                    format_rounded(pairs.p_value(), 2),
-                );
-                write!(
-                    out,
-                    "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})"
-                )
-            }
+            Self::Nominal { draws } => write!(
+                out,
+                "{} new collisions in random scenarios of the paper's distribution",
+                draws.len()
+            ),
+            Self::ValidationSet { before, after } => write!(
+                out,
+                "{after} collisions in the validation set instead of {before}"
+            ),
+            Self::MoreCollisions { space, contacts } => write!(
+                out,
+                "{} new collisions and {} fixed in {space} (p = {})",
+                contacts.only_second_fails,
+                contacts.only_first_fails,
+                format_rounded(contacts.p_value(), 2)
+            ),
+            Self::LessUseful { space, drives } => write!(
+                out,
+                "{} drives no longer useful and {} newly useful in {space} (p = {})",
+                drives.only_second_fails,
+                drives.only_first_fails,
+                format_rounded(drives.p_value(), 2)
+            ),
             Self::WorseInTraffic { measures } => {
-                let each = measures.iter().map(|(measure, before, after)| {
-                    format!(
-                        "{measure} {} instead of {}",
-                        to_thousandths(*after),
-                        to_thousandths(*before)
-                    )
-                });
-                write!(out, "in traffic {}", each.collect::<Vec<_>>().join(", "))
+                let measures: Vec<String> = measures.iter().map(describe_worse_measure).collect();
+                write!(out, "in traffic {}", measures.join(", "))
             }
-            Self::LineGain { before, after } => {
-                let gain = |gain: &Option<f64>| {
-                    gain.map_or("none".to_owned(), |gain| to_thousandths(gain).to_string())
-                };
-                write!(
-                    out,
-                    "gain of a line of five {} instead of {}",
-                    gain(after),
-                    gain(before)
-                )
-            }
+            Self::LineGain { before, after } => write!(
+                out,
+                "gain of a line of five {} instead of {}",
+                describe_gain(*after),
+                describe_gain(*before)
+            ),
             Self::NothingFixed => {
                 out.write_str("no fewer collisions in the validation set and in the cases")
             }

@@ -25,7 +25,10 @@ const ATTACKS: &str = "attacks";
 
 impl RoundContext<'_> {
     /// Adds the avoidable collisions in the plan's scenarios, and writes them beside the folder of the searches.
-    pub(super) fn attack_scenarios(&self, found: &mut RoundFindings) -> Result<(), RetrainError> {
+    pub(super) fn attack_scenarios(
+        &self,
+        findings: &mut RoundFindings,
+    ) -> Result<(), RetrainError> {
         let controller = Arc::clone(self.policy).into_source();
         let attacked = self
             .plan
@@ -47,13 +50,13 @@ impl RoundContext<'_> {
             .collect();
         let classified = classify_scenarios(&collided, &witnesses(&[]), estimator)?;
         for (number, (scenario, (class, _))) in (1..).zip(collided.iter().zip(classified)) {
-            found.count(class);
+            findings.count(class);
             if class == AvoidabilityClass::Avoidable {
                 let name = format!("{ATTACKS}/{number}.toml");
                 let text = file::to_toml(scenario)
                     .map_err(|error| RunFolderError::encoding(ATTACKS, error))?;
                 self.run_folder.write(&self.path(&name), text)?;
-                found.counterexamples.push(format!("../{name}"));
+                findings.counterexamples.push(format!("../{name}"));
             }
         }
         Ok(())
@@ -67,7 +70,7 @@ impl RoundContext<'_> {
     ) -> Result<Vec<Scenario>, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.plan.estimator());
         let budget = usize::try_from(self.plan.settings.budget).unwrap_or(usize::MAX);
-        let mut found = Vec::new();
+        let mut scenarios = Vec::new();
         for objective in OBJECTIVES {
             match attack(
                 scenario,
@@ -77,7 +80,7 @@ impl RoundContext<'_> {
                 budget,
                 &Quiet,
             ) {
-                Ok(result) => found.extend(result.attack.map(|attack| attack.scenario)),
+                Ok(result) => scenarios.extend(result.attack.map(|attack| attack.scenario)),
                 Err(AttackError::LeaderNotScripted | AttackError::EmptyEnvelope { .. }) => {
                     return Ok(Vec::new());
                 }
@@ -90,6 +93,6 @@ impl RoundContext<'_> {
                 }
             }
         }
-        Ok(found)
+        Ok(scenarios)
     }
 }

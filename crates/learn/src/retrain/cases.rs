@@ -62,10 +62,10 @@ impl Cases {
             .counterexamples
             .iter()
             .map(|spec| Scenario::new(spec.clone()));
-        let drawn = self
-            .draws
-            .iter()
-            .flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
+        let drawn = self.draws.iter().flat_map(|draws| {
+            let indices = draws.indices.iter();
+            indices.map(|&index| space.draw(draws.seed, index))
+        });
         Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
     }
 
@@ -79,7 +79,7 @@ impl Cases {
         // An attack finds a case again that the last round did not fix.
         let new = counterexamples
             .into_iter()
-            .filter(|found| !self.counterexamples.contains(found));
+            .filter(|counterexample| !self.counterexamples.contains(counterexample));
         let new: Vec<_> = new.collect();
         self.counterexamples.extend(new);
         self.scenarios_sha256 = scenarios_sha256(&self.scenarios(space)?)?;

@@ -66,11 +66,10 @@ impl Corpus {
 
     /// Yields the indices of the corpus's scenarios.
     pub fn indices(&self) -> impl Iterator<Item = u64> {
-        let is_out = |index: &u64| {
-            self.unavoidable.binary_search(index).is_ok()
-                || self.undecided.binary_search(index).is_ok()
-        };
-        (0..self.draws).filter(move |index| !is_out(index))
+        (0..self.draws).filter(|index| {
+            self.unavoidable.binary_search(index).is_err()
+                && self.undecided.binary_search(index).is_err()
+        })
     }
 
     /// Returns the corpus's scenarios, in order.
@@ -84,14 +83,14 @@ impl Corpus {
             .collect::<Result<_, _>>()?)
     }
 
-    /// Classifies random scenarios until `wanted` are avoidable; passes each one's witness results to `seen`.
+    /// Classifies random scenarios until `wanted` are avoidable; passes the witness results of each to `observe`.
     pub(super) fn classify_next(
         &mut self,
         space: &SearchedSpaces,
         wanted: u64,
         witnesses: &[NamedController],
         estimator: EstimatorKind,
-        mut seen: impl FnMut(&[Option<Contact>]),
+        mut observe: impl FnMut(&[Option<Contact>]),
     ) -> Result<(), RetrainError> {
         // Scenarios beyond the last one wanted would be classified in vain.
         let range = self.draws..self.draws + (wanted - self.avoidable).min(BATCH_SIZE);
@@ -105,7 +104,7 @@ impl Corpus {
             match class {
                 AvoidabilityClass::Avoidable => {
                     self.avoidable += 1;
-                    seen(&contacts);
+                    observe(&contacts);
                 }
                 AvoidabilityClass::Unavoidable => self.unavoidable.push(index),
                 AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => {
@@ -115,11 +114,10 @@ impl Corpus {
         }
         let share = self.avoidable as f64 / self.draws as f64;
         if self.draws >= BATCH_SIZE && share < MIN_AVOIDABLE_SHARE {
-            let (space, draws, avoidable) = (self.space.clone(), self.draws, self.avoidable);
             return Err(RetrainError::TooFewAvoidable {
-                space,
-                draws,
-                avoidable,
+                space: self.space.clone(),
+                draws: self.draws,
+                avoidable: self.avoidable,
                 wanted,
             });
         }
@@ -141,12 +139,12 @@ impl Corpus {
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
         let mut corpus = Self::empty(space, seed)?;
-        if let Some(found) = work.read_json::<Self>(name)? {
-            if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
+        if let Some(stored) = work.read_json::<Self>(name)? {
+            if (stored.seed, &stored.space_sha256) != (seed, &corpus.space_sha256) {
                 let problem = "the scenarios belong to another space or seed";
                 return Err(RunFolderError::damaged(&work.path(name), problem).into());
             }
-            corpus = found;
+            corpus = stored;
         }
         while corpus.scenarios_sha256.is_empty() {
             watch.notify(&RetrainingProgress::Gathering {
@@ -176,22 +174,24 @@ pub(super) fn classify_scenarios(
 ) -> Result<Vec<ClassifiedScenario>, RetrainError> {
     let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
-        let found = first_contacts(scenarios, &witness.source, estimator)?;
-        contacts
-            .iter_mut()
-            .zip(found)
-            .for_each(|(of, contact)| of.push(contact));
+        let of_witness = first_contacts(scenarios, &witness.source, estimator)?;
+        for (contacts, contact) in contacts.iter_mut().zip(of_witness) {
+            contacts.push(contact);
+        }
     }
-    let class = |(scenario, contacts): (&Scenario, Vec<Option<Contact>>)| {
-        let survived = contacts.iter().any(Option::is_none);
-        let class = if survived {
-            AvoidabilityClass::Avoidable
-        } else {
-            Avoidability::classify_contact(scenario).class()
-        };
-        (class, contacts)
-    };
-    Ok(scenarios.par_iter().zip(contacts).map(class).collect())
+    Ok(scenarios
+        .par_iter()
+        .zip(contacts)
+        .map(|(scenario, contacts)| {
+            let survived = contacts.iter().any(Option::is_none);
+            let class = if survived {
+                AvoidabilityClass::Avoidable
+            } else {
+                Avoidability::classify_contact(scenario).class()
+            };
+            (class, contacts)
+        })
+        .collect())
 }
 
 pub(super) fn first_contacts(

@@ -231,7 +231,8 @@ impl RetrainingPlan {
 
     /// Checks that the preset and the policy agree on observation, action and decision interval.
     pub(super) fn check_policy(&self) -> Result<(), RetrainError> {
-        let (header, environment) = (self.initial_policy.header(), &self.training.environment);
+        let header = self.initial_policy.header();
+        let environment = &self.training.environment;
         let interval_s = f64::from(environment.action_repeat) * PAPER_STEP_S;
         let what = if header.observation != environment.observation.scaling() {
             "the observation or its scaling"

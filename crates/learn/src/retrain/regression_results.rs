@@ -9,7 +9,7 @@ use super::corpus::{Corpus, colliding_indices};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
 use super::regression_spaces::{RegressionSet, RegressionSpaceResult};
 use crate::rl::TrafficUsefulness;
-use crumple_sim::control::IntoSource;
+use crumple_sim::control::{ControllerSource, IntoSource};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::policy::Policy;
 use crumple_sim::scenario::{
@@ -39,46 +39,52 @@ impl RegressionResults {
     pub(super) fn evaluate(
         policy: &Arc<Policy>,
         plan: &RetrainingPlan,
-        kept_aside: &Corpus,
+        validation_set: &Corpus,
         regression: &RegressionSet,
     ) -> Result<Self, RetrainError> {
         let controller = Arc::clone(policy).into_source();
-        let collided = |scenarios: &[Scenario], estimator| {
-            colliding_indices(scenarios, &controller, estimator)
-        };
-        let names = built_in_scenario_names().map(|(name, _)| name);
-        let scenarios: Vec<Scenario> = names
-            .iter()
-            .filter_map(|name| built_in_scenario(name))
-            .collect();
-        let mut paper = Vec::new();
-        for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let collided = collided(&scenarios, estimator)?
-                .into_iter()
-                .filter_map(|index| names.get(index));
-            paper.extend(collided.map(|name| format!("{name} ({})", estimator.name())));
-        }
         let draws = PaperDistribution { seed: NOMINAL_SEED };
         let nominal = (0..plan.settings.nominal)
             .map(|index| draws.draw(index))
             .collect::<Result<Vec<_>, _>>()?;
-        let nominal = collided(&nominal, plan.estimator())?
+        let nominal = colliding_indices(&nominal, &controller, plan.estimator())?
             .into_iter()
-            .map(|place| place as u64)
+            .map(|index| index as u64)
             .collect();
-        let indices: Vec<u64> = kept_aside.indices().collect();
-        let aside = collided(&kept_aside.scenarios(&plan.spaces)?, plan.estimator())?;
-        let kept_aside = aside
+        let indices: Vec<u64> = validation_set.indices().collect();
+        let validation_set = colliding_indices(
+            &validation_set.scenarios(&plan.spaces)?,
+            &controller,
+            plan.estimator(),
+        )?;
+        let validation_set = validation_set
             .into_iter()
-            .filter_map(|place| indices.get(place).copied())
+            .filter_map(|index| indices.get(index).copied())
             .collect();
-        let (regression, usefulness) = regression.evaluate(&controller)?;
         Ok(Self {
-            paper,
+            paper: collisions_in_paper(&controller)?,
             nominal,
-            validation_set: kept_aside,
-            regression,
-            usefulness,
+            validation_set,
+            regression: regression.evaluate_spaces(&controller)?,
+            usefulness: regression.evaluate_usefulness(&controller)?,
         })
     }
+}
+
+/// Names the scenarios of the paper that end in a collision, each with the estimator.
+fn collisions_in_paper(
+    controller: &Arc<dyn ControllerSource>,
+) -> Result<Vec<String>, RetrainError> {
+    let names = built_in_scenario_names().map(|(name, _)| name);
+    let scenarios: Vec<Scenario> = names
+        .iter()
+        .filter_map(|name| built_in_scenario(name))
+        .collect();
+    let mut collisions = Vec::new();
+    for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
+        let indices = colliding_indices(&scenarios, controller, estimator)?;
+        let colliding = indices.into_iter().filter_map(|index| names.get(index));
+        collisions.extend(colliding.map(|name| format!("{name} ({})", estimator.name())));
+    }
+    Ok(collisions)
 }

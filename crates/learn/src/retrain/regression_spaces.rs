@@ -8,7 +8,7 @@ use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
 use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
 use crumple_measure::UsefulnessMeasures;
 use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
-use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
 use crumple_spaces::ScenarioSpace;
@@ -61,22 +61,25 @@ impl RegressionSet {
         })
     }
 
-    pub(super) fn evaluate(
+    pub(super) fn evaluate_spaces(
         &self,
         controller: &Arc<dyn ControllerSource>,
-    ) -> Result<(Vec<RegressionSpaceResult>, Option<TrafficUsefulness>), RetrainError> {
-        let spaces = self
-            .spaces
+    ) -> Result<Vec<RegressionSpaceResult>, RetrainError> {
+        self.spaces
             .iter()
             .map(|space| space.evaluate(controller))
-            .collect::<Result<_, _>>()?;
-        Ok((
-            spaces,
-            self.traffic
-                .as_ref()
-                .map(|traffic| traffic.evaluate(controller))
-                .transpose()?,
-        ))
+            .collect()
+    }
+
+    /// Evaluates the usefulness in everyday traffic, if the preset selects checkpoints by it.
+    pub(super) fn evaluate_usefulness(
+        &self,
+        controller: &Arc<dyn ControllerSource>,
+    ) -> Result<Option<TrafficUsefulness>, RunError> {
+        self.traffic
+            .as_ref()
+            .map(|traffic| traffic.evaluate(controller))
+            .transpose()
     }
 }
 
@@ -99,10 +102,10 @@ impl RegressionSpace {
             estimator: plan.estimator(),
             checks_usefulness: true,
         };
-        let found = drawn.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
-        drawn.checks_usefulness = found
+        let of_idm = drawn.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
+        drawn.checks_usefulness = of_idm
             .not_useful
-            .is_some_and(|of_no_use| of_no_use.is_empty());
+            .is_some_and(|not_useful| not_useful.is_empty());
         Ok(drawn)
     }
 
@@ -116,37 +119,38 @@ impl RegressionSpace {
         } else {
             RecordingLevel::Summary
         };
-        let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
+        let mut contacts = Vec::new();
+        let mut not_useful = Vec::new();
         for (block, draws) in self.draws.chunks(BATCH_SIZE).enumerate() {
             let runs = draws
                 .iter()
-                .map(|one| Run::new(one, options.clone()))
+                .map(|scenario| Run::new(scenario, options.clone()))
                 .collect::<Result<Vec<_>, _>>()?;
-            let found = simulate_batch(&runs, level, |_, result| {
+            let outcomes = simulate_batch(&runs, level, |_, result| {
                 let collided = result.outcome.contact().is_some();
                 (
                     collided,
                     collided || measure_usefulness(&result).is_some_and(is_not_useful),
                 )
             });
-            for (index, (collided, is_useless)) in found.into_iter().enumerate() {
+            for (index, (collided, is_useless)) in outcomes.into_iter().enumerate() {
                 let index = (block * BATCH_SIZE + index) as u64;
                 contacts.extend(collided.then_some(index));
-                of_no_use.extend(is_useless.then_some(index));
+                not_useful.extend(is_useless.then_some(index));
             }
         }
         Ok(RegressionSpaceResult {
             space: self.name.clone(),
             sample_count: self.draws.len() as u64,
             contacts,
-            not_useful: self.checks_usefulness.then_some(of_no_use),
+            not_useful: self.checks_usefulness.then_some(not_useful),
         })
     }
 }
 
-fn is_not_useful(found: UsefulnessMeasures) -> bool {
-    !found.hard.is_empty()
-        || found
+fn is_not_useful(measures: UsefulnessMeasures) -> bool {
+    !measures.hard.is_empty()
+        || measures
             .following
             .is_some_and(|following| following.fell_behind)
 }
@@ -177,7 +181,7 @@ mod tests {
 
     /// Retraining on standing vehicles must not trade them for emergencies, in which `policy` collides.
     #[test]
-    fn standing_vehicles_are_not_bought_with_emergencies() {
+    fn standing_vehicles_are_not_traded_for_emergencies() {
         let first = Arc::new(Policy::from_bytes(RUNS_INTO_STANDING).unwrap());
         let plan = RetrainingPlan {
             initial_policy: Arc::clone(&first),

@@ -85,6 +85,15 @@ pub struct RetrainingReport {
     pub files: Vec<FileHash>,
 }
 
+impl FileHash {
+    fn new(run_folder: &RunFolder, name: &str) -> Result<Self, RetrainError> {
+        Ok(Self {
+            file: name.to_owned(),
+            sha256: sha256(run_folder.read_required(name)?),
+        })
+    }
+}
+
 impl RetrainingReport {
     pub(super) fn new(
         plan: &RetrainingPlan,
@@ -94,12 +103,6 @@ impl RetrainingReport {
         ending: RetrainingEnding,
         evaluated: TestSetResults,
     ) -> Result<Self, RetrainError> {
-        let hash = |name: &str| -> Result<FileHash, RetrainError> {
-            Ok(FileHash {
-                file: name.to_owned(),
-                sha256: sha256(work.read_required(name)?),
-            })
-        };
         let files = [
             POLICY,
             TRAINING_CASES,
@@ -107,8 +110,8 @@ impl RetrainingReport {
             VALIDATION_SET,
             TEST_SET,
         ]
-        .map(hash)
         .into_iter()
+        .map(|name| FileHash::new(work, name))
         .collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             version: RETRAIN_VERSION,
@@ -116,7 +119,7 @@ impl RetrainingReport {
             plan_sha256: sha256(plan.to_toml()?),
             first: plan.initial_policy_name.clone(),
             first_sha256: plan.initial_policy.digest(),
-            retrained_sha256: hash(POLICY)?.sha256,
+            retrained_sha256: FileHash::new(work, POLICY)?.sha256,
             space: plan.spaces.name(),
             preset: plan.training.name.clone(),
             method: plan.method.name().to_owned(),

@@ -182,10 +182,10 @@ impl RoundContext<'_> {
             .transaction()
             .remove(&self.path(LEARNER))
             .commit()?;
-        let (seed, from_episode) = self.learner_start();
+        let start = self.learner_start();
         let training = RoundTraining {
-            seed,
-            from_episode,
+            seed: start.seed,
+            from_episode: start.episode,
             to_episode: 0,
             best_episode: 0,
             checkpoints: Vec::new(),

@@ -14,6 +14,7 @@ use crate::rl::ScenarioSource;
 use crumple_search::falsify::campaign::{Campaign, CampaignProgress};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::control::IntoSource;
+use crumple_sim::engine::NamedController;
 use crumple_sim::scenario::{Scenario, file};
 use crumple_store::run_folder::encode_json;
 use crumple_store::study::Study;
@@ -69,90 +70,100 @@ impl RoundContext<'_> {
         &self,
         watch: &RetrainingObserver<'_>,
     ) -> Result<RoundFindings, RetrainError> {
-        if let Some(found) = self.run_folder.read_json(&self.path(FINDINGS))? {
-            return Ok(found);
+        if let Some(findings) = self.run_folder.read_json(&self.path(FINDINGS))? {
+            return Ok(findings);
         }
         self.run_folder
             .write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
-        let (colliding_draws, avoidable_draws) = self.find_colliding_draws(watch)?;
-        let (plan, round) = (self.plan, self.round_number());
-        let draws = plan.spaces.total(plan.settings.draws);
-        let mut found = RoundFindings {
-            draws,
-            colliding_draws,
-            avoidable_draws,
-            ..RoundFindings::default()
+        let plan = self.plan;
+        let mut findings = RoundFindings {
+            draws: plan.spaces.total(plan.settings.draws),
+            ..self.find_colliding_draws(watch)?
         };
-        let spaces = plan.spaces.as_slice();
-        for (index, space) in spaces.iter().enumerate() {
-            // The search of a single space has no folder of its own. The path of the policy is relative to the
-            // counterexamples, so that their recorded verdicts can be replayed.
-            let (folder, up) = if spaces.len() == 1 {
-                (String::new(), "")
-            } else {
-                (format!("{}/", index + 1), "../")
-            };
-            let path = self.path(&format!("{SEARCH}/{folder}"));
-            let path = path.trim_end_matches('/');
-            let controller = named_policy(&format!("../../{up}before.safetensors"), self.policy);
-            let campaign = Campaign {
-                estimator: plan.estimator(),
-                seed: plan.search_seed(round),
-                ..Campaign::new(controller, space.clone())
-                    .with_method(plan.method.clone())
-                    .with_budget(plan.settings.budget)
-            };
-            let searching = |state: &CampaignProgress| {
-                let (space, space_index, progress) = (
-                    space.name().to_owned(),
-                    [index, spaces.len()],
-                    state.clone(),
-                );
-                watch.observe(&RetrainingProgress::Searching {
-                    round,
-                    space,
-                    space_index,
-                    progress,
-                })
-            };
-            let summary = campaign.run(&self.run_folder.path(path), true, &searching)?;
-            self.run_folder.include(path)?;
-            found.evaluations += summary
-                .methods
-                .iter()
-                .map(|method| method.evaluations)
-                .sum::<u64>();
-            found.failures += summary
-                .methods
-                .iter()
-                .map(|method| method.failures)
-                .sum::<u64>();
-            for counterexample in &summary.counterexamples {
-                let class = counterexample.avoidability.class();
-                found.count(class);
-                if class == AvoidabilityClass::Avoidable {
-                    found
-                        .counterexamples
-                        .push(format!("{folder}{}", counterexample.file));
-                }
-            }
+        for index in 0..plan.spaces.as_slice().len() {
+            self.search_space(index, &mut findings, watch)?;
         }
         watch.notify(&RetrainingProgress::Attacking {
-            round,
+            round: self.round_number(),
             scenarios: plan.attacked.len(),
         })?;
-        self.attack_scenarios(&mut found)?;
+        self.attack_scenarios(&mut findings)?;
         self.run_folder
-            .write(&self.path(FINDINGS), encode_json(FINDINGS, &found)?)?;
-        Ok(found)
+            .write(&self.path(FINDINGS), encode_json(FINDINGS, &findings)?)?;
+        Ok(findings)
     }
 
-    /// Counts the random scenarios that end in a collision, and returns the avoidable ones.
+    /// Runs the campaign in one of the spaces, and adds its results.
+    fn search_space(
+        &self,
+        index: usize,
+        findings: &mut RoundFindings,
+        watch: &RetrainingObserver<'_>,
+    ) -> Result<(), RetrainError> {
+        let plan = self.plan;
+        let round = self.round_number();
+        let spaces = plan.spaces.as_slice();
+        let Some(space) = spaces.get(index) else {
+            return Ok(());
+        };
+        // The search of a single space has no folder of its own.
+        let folder = if spaces.len() == 1 {
+            String::new()
+        } else {
+            format!("{}/", index + 1)
+        };
+        let path = self.path(&format!("{SEARCH}/{folder}"));
+        let path = path.trim_end_matches('/');
+        let campaign = Campaign {
+            estimator: plan.estimator(),
+            seed: plan.search_seed(round),
+            ..Campaign::new(self.policy_before(!folder.is_empty()), space.clone())
+                .with_method(plan.method.clone())
+                .with_budget(plan.settings.budget)
+        };
+        let summary = campaign.run(
+            &self.run_folder.path(path),
+            true,
+            &|state: &CampaignProgress| {
+                watch.observe(&RetrainingProgress::Searching {
+                    round,
+                    space: space.name().to_owned(),
+                    space_index: [index, spaces.len()],
+                    progress: state.clone(),
+                })
+            },
+        )?;
+        self.run_folder.include(path)?;
+        for method in &summary.methods {
+            findings.evaluations += method.evaluations;
+            findings.failures += method.failures;
+        }
+        for counterexample in &summary.counterexamples {
+            let class = counterexample.avoidability.class();
+            findings.count(class);
+            if class == AvoidabilityClass::Avoidable {
+                findings
+                    .counterexamples
+                    .push(format!("{folder}{}", counterexample.file));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the policy before the round, named by its path relative to the counterexamples, so that their recorded
+    /// verdicts can be replayed.
+    fn policy_before(&self, is_in_subfolder: bool) -> NamedController {
+        let up = if is_in_subfolder { "../" } else { "" };
+        named_policy(&format!("../../{up}before.safetensors"), self.policy)
+    }
+
+    /// Returns findings with the random scenarios that end in a collision.
     fn find_colliding_draws(
         &self,
         watch: &RetrainingObserver<'_>,
-    ) -> Result<(usize, CollidingDraws), RetrainError> {
-        let (plan, round) = (self.plan, self.round_number());
+    ) -> Result<RoundFindings, RetrainError> {
+        let plan = self.plan;
+        let round = self.round_number();
         let seed = plan.search_seed(round);
         let draws = plan.spaces.total(plan.settings.draws);
         watch.notify(&RetrainingProgress::SimulatingDraws { round, draws })?;
@@ -171,30 +182,30 @@ impl RoundContext<'_> {
             .zip(classed)
             .filter(|(_, (class, _))| *class == AvoidabilityClass::Avoidable);
         let indices = avoidable.map(|(index, _)| index as u64).collect();
-        Ok((
-            collided.len(),
-            CollidingDraws {
+        Ok(RoundFindings {
+            colliding_draws: collided.len(),
+            avoidable_draws: CollidingDraws {
                 round,
                 seed,
                 indices,
             },
-        ))
+            ..RoundFindings::default()
+        })
     }
 
-    pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
+    pub(super) fn extended_cases(&self, findings: &RoundFindings) -> Result<Cases, RetrainError> {
         let search = self.run_folder.path(&self.path(SEARCH));
-        let read = |name: &String| {
-            file::load(&search.join(name), &self.plan.spaces)
-                .map(|scenario| scenario.spec().clone())
-        };
-        let counterexamples = found
+        let counterexamples = findings
             .counterexamples
             .iter()
-            .map(read)
+            .map(|name| {
+                file::load(&search.join(name), &self.plan.spaces)
+                    .map(|scenario| scenario.spec().clone())
+            })
             .collect::<Result<_, _>>()?;
         self.cases.clone().with_round(
             &self.plan.spaces,
-            found.avoidable_draws.clone(),
+            findings.avoidable_draws.clone(),
             counterexamples,
         )
     }

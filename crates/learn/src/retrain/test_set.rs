@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
+use super::SearchedSpaces;
 use super::corpus::Corpus;
 use super::plan::{RetrainingPlan, TEST_SET_SEED};
 use super::progress::{RetrainingObserver, RetrainingProgress};
@@ -76,6 +77,14 @@ pub(super) fn witnesses(policies: &[NamedController]) -> Vec<NamedController> {
 }
 
 impl TestSetResults {
+    fn empty(space: &SearchedSpaces, contenders: &[NamedController]) -> Result<Self, RetrainError> {
+        Ok(Self {
+            corpus: Corpus::empty(space, TEST_SET_SEED)?,
+            tallies: contenders.iter().map(ControllerTally::new).collect(),
+            pairs: PairedOutcomes::default(),
+        })
+    }
+
     /// Reads the results from a file, or completes them first. Compares the first two contenders.
     pub(super) fn load_or_evaluate(
         (work, name): (&RunFolder, &'static str),
@@ -83,14 +92,11 @@ impl TestSetResults {
         contenders: &[NamedController],
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
-        let (space, wanted) = (&plan.spaces, plan.spaces.total(plan.settings.test_draws));
+        let space = &plan.spaces;
+        let wanted = space.total(plan.settings.test_draws);
         let mut evaluated = match work.read_json(name)? {
             Some(evaluated) => evaluated,
-            None => Self {
-                corpus: Corpus::empty(space, TEST_SET_SEED)?,
-                tallies: contenders.iter().map(ControllerTally::new).collect(),
-                pairs: PairedOutcomes::default(),
-            },
+            None => Self::empty(space, contenders)?,
         };
         while evaluated.corpus.scenarios_sha256.is_empty() {
             let Self {
@@ -104,14 +110,12 @@ impl TestSetResults {
                 wanted,
             })?;
             if corpus.avoidable < wanted {
-                let count = |contacts: &[Option<Contact>]| {
-                    tallies
-                        .iter_mut()
-                        .zip(contacts)
-                        .for_each(|(tally, contact)| tally.add(contact.as_ref()));
+                corpus.classify_next(space, wanted, contenders, plan.estimator(), |contacts| {
+                    for (tally, contact) in tallies.iter_mut().zip(contacts) {
+                        tally.add(contact.as_ref());
+                    }
                     pairs.add(contacts);
-                };
-                corpus.classify_next(space, wanted, contenders, plan.estimator(), count)?;
+                })?;
             } else {
                 corpus.seal(space)?;
             }
@@ -142,12 +146,12 @@ impl ControllerTally {
 
 impl PairedOutcomes {
     fn add(&mut self, contacts: &[Option<Contact>]) {
-        let collided = |index: usize| contacts.get(index).is_some_and(Option::is_some);
-        *match (collided(0), collided(1)) {
-            (true, true) => &mut self.both,
-            (true, false) => &mut self.first_only,
-            (false, true) => &mut self.retrained_only,
-            (false, false) => &mut self.neither,
+        let collided = [0, 1].map(|index| contacts.get(index).is_some_and(Option::is_some));
+        *match collided {
+            [true, true] => &mut self.both,
+            [true, false] => &mut self.first_only,
+            [false, true] => &mut self.retrained_only,
+            [false, false] => &mut self.neither,
         } += 1;
     }
 }

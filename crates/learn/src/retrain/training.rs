@@ -9,20 +9,31 @@ use super::plan::RetrainingPlan;
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{Checkpoint, RoundContext, RoundTraining, round_path};
 use crate::rl::{
-    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingError,
-    TrainingEvent, TrainingRecorder, train_with_recorder,
+    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer,
+    TrainingConfig, TrainingError, TrainingEvent, TrainingRecorder, train_with_recorder,
 };
 use crumple_sim::policy::Policy;
 use crumple_store::run_folder::{RunFolderError, encode_json};
 
+/// State of the learner at the start of a round.
+pub(super) struct LearnerStart {
+    pub(super) seed: u64,
+    /// Episodes so far.
+    pub(super) episode: u64,
+}
+
 impl RoundContext<'_> {
-    /// Returns the seed of the learner and its episodes so far. A new learner follows one that diverged.
-    pub(super) fn learner_start(&self) -> (u64, u64) {
+    /// Returns the start of the learner of the round. A new learner follows one that diverged.
+    pub(super) fn learner_start(&self) -> LearnerStart {
         match self.previous_round {
-            Some(last) if last.training.to_episode > 0 => {
-                (last.training.seed, last.training.to_episode)
-            }
-            _ => (self.plan.training_seed(self.round_number()), 0),
+            Some(last) if last.training.to_episode > 0 => LearnerStart {
+                seed: last.training.seed,
+                episode: last.training.to_episode,
+            },
+            _ => LearnerStart {
+                seed: self.plan.training_seed(self.round_number()),
+                episode: 0,
+            },
         }
     }
 
@@ -33,13 +44,11 @@ impl RoundContext<'_> {
         // Not those of the preset: an imitation has other costs.
         let training = self.plan.training_until(0);
         let cases = cases.scenarios(spaces)?;
-        let with_cases = |base| CaseMixture::new(cases, settings.case_share, base);
         if !training.spaces.is_empty() {
-            return Ok(Arc::new(with_cases(
-                training.scenario_source().map_err(TrainingError::from)?,
-            )));
+            let base = training.scenario_source().map_err(TrainingError::from)?;
+            return Ok(Arc::new(CaseMixture::new(cases, settings.case_share, base)));
         }
-        let mixed = with_cases(Arc::new(spaces.clone()));
+        let mixed = CaseMixture::new(cases, settings.case_share, Arc::new(spaces.clone()));
         Ok(Arc::new(SourceMixture::new(
             Arc::new(PaperSource),
             settings.nominal_share,
@@ -47,33 +56,39 @@ impl RoundContext<'_> {
         )))
     }
 
-    /// Returns the learner at the start of the round, or at its last checkpoint, and the episode at the start.
-    fn load_learner(&self, cases: &Cases) -> Result<(Trainer, u64), RetrainError> {
-        let (seed, from_episode) = self.learner_start();
+    /// Reads a learner from a checkpoint in the run folder.
+    fn read_learner(
+        &self,
+        name: &str,
+        bytes: &[u8],
+        config: &TrainingConfig,
+        source: Arc<dyn ScenarioSource>,
+    ) -> Result<Trainer, RunFolderError> {
+        Trainer::from_checkpoint(bytes, config, self.learner_start().seed, source).map_err(
+            |error| RunFolderError::damaged(&self.run_folder.path(name), error.to_string()),
+        )
+    }
+
+    /// Returns the learner at the start of the round, or at its last checkpoint.
+    fn load_learner(&self, cases: &Cases) -> Result<Trainer, RetrainError> {
+        let LearnerStart {
+            seed,
+            episode: from_episode,
+        } = self.learner_start();
         let episodes = from_episode + self.plan.settings.episodes;
         let config = self.plan.training_until(episodes);
         let source = self.scenario_source(cases)?;
-        let taken_up = |name: &str, bytes: &[u8], source| {
-            Trainer::from_checkpoint(bytes, &config, seed, source).map_err(|error| {
-                RunFolderError::damaged(&self.run_folder.path(name), error.to_string())
-            })
-        };
         let name = self.path(LEARNER);
         if let Some(bytes) = self.run_folder.read(&name)? {
-            return Ok((taken_up(&name, &bytes, source)?, from_episode));
+            return Ok(self.read_learner(&name, &bytes, &config, source)?);
         }
         let Some(last) = self.previous_round.filter(|_| from_episode > 0) else {
-            return Ok((
-                Trainer::with_source(&config, seed, source).with_initial_policy(self.policy),
-                from_episode,
-            ));
+            return Ok(Trainer::with_source(&config, seed, source).with_initial_policy(self.policy));
         };
         let name = round_path(last.round, LEARNER);
-        let mut trainer = taken_up(
-            &name,
-            &self.run_folder.read_required(&name)?,
-            self.scenario_source(self.cases)?,
-        )?;
+        let bytes = self.run_folder.read_required(&name)?;
+        let last_source = self.scenario_source(self.cases)?;
+        let mut trainer = self.read_learner(&name, &bytes, &config, last_source)?;
         if trainer.episode() != from_episode {
             let problem = format!(
                 "is from episode {}, and its round ended with {from_episode}",
@@ -82,7 +97,7 @@ impl RoundContext<'_> {
             return Err(RunFolderError::damaged(&self.run_folder.path(&name), problem).into());
         }
         trainer.switch_source(source, episodes);
-        Ok((trainer, from_episode))
+        Ok(trainer)
     }
 
     pub(super) fn train(
@@ -90,7 +105,8 @@ impl RoundContext<'_> {
         cases: &Cases,
         watch: &RetrainingObserver<'_>,
     ) -> Result<(RoundTraining, Policy), RetrainError> {
-        let (mut trainer, from_episode) = self.load_learner(cases)?;
+        let mut trainer = self.load_learner(cases)?;
+        let from_episode = self.learner_start().episode;
         let selection = self.selection_set.scenarios(&self.plan.spaces)?;
         let held_out = EvaluationSet::from_config(&self.plan.training)?.with_ranking(selection);
         let mut checkpoints: Vec<Checkpoint> = self
@@ -100,19 +116,19 @@ impl RoundContext<'_> {
         checkpoints.retain(|checkpoint| {
             checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode
         });
-        let mut scribe = CheckpointWriter {
+        let mut recorder = CheckpointWriter {
             context: self,
             from_episode,
             checkpoints,
             observer: watch,
         };
-        train_with_recorder::<RetrainError>(&mut trainer, &held_out, &mut scribe)?;
+        train_with_recorder::<RetrainError>(&mut trainer, &held_out, &mut recorder)?;
         let trained = RoundTraining {
             seed: trainer.seed(),
             from_episode,
             to_episode: trainer.episode(),
             best_episode: trainer.best().map_or(0, |best| best.episode),
-            checkpoints: scribe.checkpoints,
+            checkpoints: recorder.checkpoints,
         };
         Ok((trained, trainer.policy()?))
     }

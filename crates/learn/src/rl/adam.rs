@@ -39,18 +39,17 @@ impl Adam {
         // `powi` rounds differently between platforms.
         let unbias =
             |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), self.steps as f64))) as f32;
-        let (unbias_1, unbias_2) = (unbias(BETA_1), unbias(BETA_2));
-        let (first, second) = (
-            self.first_moment.as_mut_slice(),
-            self.second_moment.as_mut_slice(),
-        );
+        let [unbias_1, unbias_2] = [BETA_1, BETA_2].map(unbias);
+        let first = self.first_moment.as_mut_slice();
+        let second = self.second_moment.as_mut_slice();
         let (target, share) = follow.unwrap_or((&mut [], 0.0));
         Arch::new().dispatch(SimdClosure(
             #[inline(always)]
             || {
                 let n = parameters.len();
-                let (gradients, first, second) =
-                    (&gradients[..n], &mut first[..n], &mut second[..n]);
+                let gradients = &gradients[..n];
+                let first = &mut first[..n];
+                let second = &mut second[..n];
                 for i in 0..n {
                     let g = gradients[i];
                     first[i] = BETA_1 * first[i] + (1.0 - BETA_1) * g;
@@ -90,10 +89,10 @@ mod tests {
                 exact[i] -= 0.01 * unbiased[0] / (unbiased[1].sqrt() + 1e-8);
             }
         }
-        for (found, expected) in parameters.iter().zip(exact) {
+        for (actual, expected) in parameters.iter().zip(exact) {
             assert!(
-                (f64::from(*found) - expected).abs() < 1e-5,
-                "{found} {expected}"
+                (f64::from(*actual) - expected).abs() < 1e-5,
+                "{actual} {expected}"
             );
         }
     }

@@ -93,7 +93,8 @@ impl Tape {
         delta.clear();
         delta.extend_from_slice(output_gradient);
         for (index, layer) in network.layers().enumerate().rev() {
-            let (m, n) = (layer.inputs, layer.outputs);
+            let m = layer.inputs;
+            let n = layer.outputs;
             let batch = delta.len() / n;
             let input = &values[index];
             if let Some(gradients) = gradients.as_deref_mut() {

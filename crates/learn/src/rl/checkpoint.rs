@@ -58,12 +58,96 @@ impl CheckpointHeader {
         }
         Ok(digest.hexadecimal())
     }
+
+    /// Checks the SHA-256 of the file, and removes it from the header.
+    fn check_digest(&mut self, arrays: &SafeTensors<'_>) -> Result<(), TrainingError> {
+        let stated = std::mem::take(&mut self.sha256);
+        let mut arrays: Vec<_> = arrays
+            .iter()
+            .map(|(name, view)| (name, view.data()))
+            .collect();
+        arrays.sort_unstable_by_key(|(name, _)| *name);
+        if self.digest(arrays.into_iter())? == stated {
+            Ok(())
+        } else {
+            Err(checkpoint_error(
+                "its content does not match its SHA-256: the file is damaged",
+            ))
+        }
+    }
+
+    /// Checks that a training with this configuration, seed and source can continue.
+    fn check_training(
+        &self,
+        config: &TrainingConfig,
+        seed: u64,
+        source: &dyn ScenarioSource,
+    ) -> Result<(), TrainingError> {
+        if self.seed != seed {
+            return Err(checkpoint_error(format!(
+                "it belongs to seed {}, not {seed}",
+                self.seed
+            )));
+        }
+        if (TrainingConfig {
+            episodes: config.episodes,
+            controllers: config.controllers,
+            ..self.config.clone()
+        }) != *config
+        {
+            let problem =
+                "it belongs to another configuration: only the number of episodes may differ";
+            return Err(checkpoint_error(problem));
+        }
+        let scenarios = source.identity()?;
+        if self.scenarios != scenarios {
+            return Err(checkpoint_error(format!(
+                "it belongs to a training on {}, not on {}",
+                describe_source(self.scenarios.as_deref()),
+                describe_source(scenarios.as_deref())
+            )));
+        }
+        if self.episode > config.episodes {
+            return Err(checkpoint_error(format!(
+                "{} episodes are already done, more than the requested {}",
+                self.episode, config.episodes
+            )));
+        }
+        Ok(())
+    }
+}
+
+fn describe_source(identity: Option<&str>) -> &str {
+    identity.unwrap_or("the paper's distribution")
+}
+
+/// Reads the header of a checkpoint of this build.
+fn read_header(bytes: &[u8]) -> Result<CheckpointHeader, TrainingError> {
+    let container = SafeTensors::read_metadata(bytes)
+        .map_err(checkpoint_error)?
+        .1;
+    let text = container
+        .metadata()
+        .as_ref()
+        .and_then(|metadata| metadata.get(METADATA_KEY))
+        .ok_or_else(|| checkpoint_error("this is not a checkpoint of a training"))?;
+    check_build(text)?;
+    serde_json::from_str(text).map_err(checkpoint_error)
 }
 
 /// View of an array in the byte order of the file, without a copy if that is the native order.
 struct Array<'a> {
     shape: [usize; 1],
     values: &'a [f32],
+}
+
+impl<'a> Array<'a> {
+    fn new(values: &'a [f32]) -> Self {
+        Self {
+            shape: [values.len()],
+            values,
+        }
+    }
 }
 
 impl View for Array<'_> {
@@ -94,11 +178,15 @@ impl View for Array<'_> {
 /// Refuses a checkpoint of another build, without reading the rest of its header.
 fn check_build(text: &str) -> Result<(), TrainingError> {
     let header: serde_json::Value = serde_json::from_str(text).map_err(checkpoint_error)?;
-    let field = |name| header.get(name).cloned().unwrap_or_default();
-    if field("version") != VERSION || field("program") != program::identity()? {
-        return Err(checkpoint_error(OTHER_BUILD_MESSAGE));
+    let is_of_this_build = header
+        .get("version")
+        .is_some_and(|version| *version == VERSION)
+        && header.get("program").and_then(|program| program.as_str()) == Some(program::identity()?);
+    if is_of_this_build {
+        Ok(())
+    } else {
+        Err(checkpoint_error(OTHER_BUILD_MESSAGE))
     }
-    Ok(())
 }
 
 fn checkpoint_error(problem: impl std::fmt::Display) -> TrainingError {
@@ -133,34 +221,10 @@ impl Trainer {
                 .map(|best| (best.episode, best.evaluation)),
             mastered: self.mastered,
         };
-        let mut arrays: Vec<(String, &[f32])> = vec![("replay".to_owned(), replay)];
-        for (name, part) in self.named_networks() {
-            for (what, values) in [
-                ("network", part.network.parameters()),
-                ("target", part.target.parameters()),
-                ("first", &part.adam.first_moment),
-                ("second", &part.adam.second_moment),
-            ] {
-                arrays.push((format!("{name}.{what}"), values));
-            }
-        }
-        if let Some(mean) = &self.weight_average {
-            arrays.push(("mean".to_owned(), mean.parameters()));
-        }
-        if let Some(best) = &self.best {
-            arrays.push(("best".to_owned(), best.network.parameters()));
-        }
-        let mut arrays: Vec<(String, Array<'_>)> = arrays
-            .into_iter()
-            .map(|(name, values)| {
-                (
-                    name,
-                    Array {
-                        shape: [values.len()],
-                        values,
-                    },
-                )
-            })
+        let mut arrays: Vec<(String, Array<'_>)> = self
+            .network_arrays()
+            .chain([("replay".to_owned(), replay)])
+            .map(|(name, values)| (name, Array::new(values)))
             .collect();
         arrays.sort_unstable_by(|(a, _), (b, _)| a.cmp(b));
         header.sha256 = header.digest(
@@ -173,6 +237,28 @@ impl Trainer {
             .map_err(checkpoint_error)
     }
 
+    /// Returns the parameters of all networks and optimisers, with their names in the file.
+    fn network_arrays(&self) -> impl Iterator<Item = (String, &[f32])> {
+        let trained = self.named_networks().flat_map(|(name, part)| {
+            [
+                ("network", part.network.parameters()),
+                ("target", part.target.parameters()),
+                ("first", &part.adam.first_moment),
+                ("second", &part.adam.second_moment),
+            ]
+            .map(|(array, values)| (format!("{name}.{array}"), values))
+        });
+        let mean = self
+            .weight_average
+            .as_ref()
+            .map(|mean| ("mean".to_owned(), mean.parameters()));
+        let best = self
+            .best
+            .as_ref()
+            .map(|best| ("best".to_owned(), best.network.parameters()));
+        trained.chain(mean).chain(best)
+    }
+
     /// Decodes a result of [`Trainer::to_checkpoint`]. `config` may differ from it only in the number of episodes.
     ///
     /// # Errors
@@ -183,86 +269,12 @@ impl Trainer {
         seed: u64,
         source: Arc<dyn ScenarioSource>,
     ) -> Result<Self, TrainingError> {
-        let (_, container) = SafeTensors::read_metadata(bytes).map_err(checkpoint_error)?;
-        let text = container
-            .metadata()
-            .as_ref()
-            .and_then(|metadata| metadata.get(METADATA_KEY));
-        let text =
-            text.ok_or_else(|| checkpoint_error("this is not a checkpoint of a training"))?;
-        check_build(text)?;
-        let mut header: CheckpointHeader = serde_json::from_str(text).map_err(checkpoint_error)?;
+        let mut header = read_header(bytes)?;
         let arrays = SafeTensors::deserialize(bytes).map_err(checkpoint_error)?;
-        let written = std::mem::take(&mut header.sha256);
-        let mut found: Vec<_> = arrays
-            .iter()
-            .map(|(name, view)| (name, view.data()))
-            .collect();
-        found.sort_unstable_by_key(|(name, _)| *name);
-        if header.digest(found.into_iter())? != written {
-            return Err(checkpoint_error(
-                "its content does not match its SHA-256: the file is damaged",
-            ));
-        }
-        if header.seed != seed {
-            return Err(checkpoint_error(format!(
-                "it belongs to seed {}, not {seed}",
-                header.seed
-            )));
-        }
-        if (TrainingConfig {
-            episodes: config.episodes,
-            controllers: config.controllers,
-            ..header.config
-        }) != *config
-        {
-            let problem =
-                "it belongs to another configuration: only the number of episodes may differ";
-            return Err(checkpoint_error(problem));
-        }
-        let asked = source.identity()?;
-        if header.scenarios != asked {
-            let name = |source: Option<String>| {
-                source.unwrap_or_else(|| "the paper's distribution".to_owned())
-            };
-            let (found, asked) = (name(header.scenarios), name(asked));
-            return Err(checkpoint_error(format!(
-                "it belongs to a training on {found}, not on {asked}"
-            )));
-        }
-        if header.episode > config.episodes {
-            let (done, asked) = (header.episode, config.episodes);
-            return Err(checkpoint_error(format!(
-                "{done} episodes are already done, more than the requested {asked}"
-            )));
-        }
+        header.check_digest(&arrays)?;
+        header.check_training(config, seed, &*source)?;
         let mut trainer = Self::with_source(config, seed, source);
-        let mut adam_steps = header.adam_steps.into_iter();
-        for (name, part) in trainer.named_networks_mut() {
-            read_tensor_into(
-                &arrays,
-                &format!("{name}.network"),
-                part.network.parameters_mut(),
-            )?;
-            read_tensor_into(
-                &arrays,
-                &format!("{name}.target"),
-                part.target.parameters_mut(),
-            )?;
-            read_tensor_into(
-                &arrays,
-                &format!("{name}.first"),
-                &mut part.adam.first_moment,
-            )?;
-            read_tensor_into(
-                &arrays,
-                &format!("{name}.second"),
-                &mut part.adam.second_moment,
-            )?;
-            part.adam.steps = adam_steps
-                .next()
-                .ok_or_else(|| checkpoint_error("the state of an optimiser is missing"))?;
-        }
+        trainer.read_networks(&arrays, &header.adam_steps)?;
         let replay = read_tensor(&arrays, "replay")?;
         trainer.replay = ReplayBuffer::from_raw_parts(
             config.replay.capacity,
@@ -271,25 +283,51 @@ impl Trainer {
             replay,
         )
         .ok_or_else(|| checkpoint_error("the size of the replay memory differs from the header"))?;
-        let sizes = trainer.learner.actor.network.sizes().to_vec();
-        let actor_of = |name| {
-            let mut network = Network::zeros(&sizes);
-            read_tensor_into(&arrays, name, network.parameters_mut()).map(|()| network)
-        };
         if config.evaluation.weight_average_updates > 0 && header.updates > 0 {
-            trainer.weight_average = Some(actor_of("mean")?);
+            trainer.weight_average = Some(trainer.read_actor(&arrays, "mean")?);
         }
         if let Some((episode, evaluation)) = header.best {
-            let network = actor_of("best")?;
             trainer.best = Some(BestPolicy {
                 episode,
                 evaluation,
-                network,
+                network: trainer.read_actor(&arrays, "best")?,
             });
         }
-        (trainer.episode, trainer.decisions) = (header.episode, header.decisions);
-        (trainer.learner.updates, trainer.mastered) = (header.updates, header.mastered);
+        trainer.episode = header.episode;
+        trainer.decisions = header.decisions;
+        trainer.learner.updates = header.updates;
+        trainer.mastered = header.mastered;
         Ok(trainer)
+    }
+
+    /// Reads the networks in training, with the state of their optimisers.
+    fn read_networks(
+        &mut self,
+        arrays: &SafeTensors<'_>,
+        adam_steps: &[u64],
+    ) -> Result<(), TrainingError> {
+        let mut adam_steps = adam_steps.iter();
+        for (name, part) in self.named_networks_mut() {
+            for (array, values) in [
+                ("network", part.network.parameters_mut()),
+                ("target", part.target.parameters_mut()),
+                ("first", &mut part.adam.first_moment),
+                ("second", &mut part.adam.second_moment),
+            ] {
+                read_tensor_into(arrays, &format!("{name}.{array}"), values)?;
+            }
+            part.adam.steps = *adam_steps
+                .next()
+                .ok_or_else(|| checkpoint_error("the state of an optimiser is missing"))?;
+        }
+        Ok(())
+    }
+
+    /// Reads a network of the size of the actor.
+    fn read_actor(&self, arrays: &SafeTensors<'_>, name: &str) -> Result<Network, TrainingError> {
+        let mut network = Network::zeros(self.learner.actor.network.sizes());
+        read_tensor_into(arrays, name, network.parameters_mut())?;
+        Ok(network)
     }
 
     fn named_networks(&self) -> impl Iterator<Item = (String, &TrainableNetwork)> {
@@ -321,8 +359,10 @@ fn read_tensor(arrays: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, Trainin
             view.dtype()
         )));
     }
-    let (values, _) = view.data().as_chunks::<4>();
-    let values: Vec<f32> = values
+    let values: Vec<f32> = view
+        .data()
+        .as_chunks::<4>()
+        .0
         .iter()
         .map(|&bytes| f32::from_le_bytes(bytes))
         .collect();

@@ -338,8 +338,8 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::UnknownPreset`] for any other name.
     pub fn preset_text(name: &str) -> Result<&'static str, TrainingConfigError> {
-        let known = PRESETS.iter().find(|(known, _)| *known == name);
-        known
+        let built_in = PRESETS.iter().find(|(built_in, _)| *built_in == name);
+        built_in
             .map(|(_, text)| *text)
             .ok_or_else(|| TrainingConfigError::UnknownPreset(name.to_owned()))
     }

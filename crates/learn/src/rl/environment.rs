@@ -112,6 +112,64 @@ pub struct TrainingEpisode {
     undiscounted_return: f64,
 }
 
+/// Rewards of the steps between two decisions.
+struct DecisionRewards<'e> {
+    tracker: &'e mut RewardTracker,
+    config: &'e EnvironmentConfig,
+    min_rest_steps: usize,
+    steps_at_rest: &'e mut usize,
+    sum: f64,
+    of_last_step: f64,
+    ending: EpisodeEnding,
+}
+
+impl DecisionRewards<'_> {
+    /// Adds the reward of a step. Breaks if the episode ended.
+    fn record(&mut self, now: &StepView<'_>) -> ControlFlow<()> {
+        self.of_last_step = self.tracker.step_reward(now, self.config);
+        self.sum += self.of_last_step;
+        let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
+        *self.steps_at_rest = if at_rest { *self.steps_at_rest + 1 } else { 0 };
+        self.ending = if now.has_collided {
+            EpisodeEnding::Contact
+        } else if now.has_ended {
+            EpisodeEnding::TimeLimit
+        } else if *self.steps_at_rest >= self.min_rest_steps {
+            EpisodeEnding::AtRest
+        } else {
+            EpisodeEnding::None
+        };
+        if self.ending == EpisodeEnding::None {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
+    }
+}
+
+/// Steps until the next decision, with a command or under the expert. Returns the expert's first answer, in m/s².
+fn step_with_expert(
+    stepper: &mut Stepper,
+    command_mps2: Option<f64>,
+    rewards: &mut DecisionRewards<'_>,
+) -> Option<f64> {
+    let mut first_answer_mps2 = None;
+    for _ in 0..rewards.config.action_repeat {
+        if stepper.observe(EGO).is_none() {
+            break;
+        }
+        if let Some(command_mps2) = command_mps2 {
+            stepper.command(EGO, command_mps2);
+        }
+        stepper.step();
+        first_answer_mps2 = first_answer_mps2.or(stepper.consulted_mps2(EGO));
+        if rewards.record(&stepper.view(EGO)).is_break() || stepper.has_ended() {
+            break;
+        }
+    }
+    first_answer_mps2
+}
+
 impl TrainingEpisode {
     /// Starts an episode of a run with one vehicle under test behind the leader.
     #[must_use]
@@ -143,10 +201,10 @@ impl TrainingEpisode {
     /// Writes the present observation, [`ObservationScaling::width`] numbers.
     pub fn write_state(&mut self, state: &mut [f32]) {
         let last_answer_mps2 = self.held_action.last_answer_mps2();
-        if let Some(seen) = self.stepper.observe(EGO) {
+        if let Some(observation) = self.stepper.observe(EGO) {
             self.config
                 .scaling
-                .write_state(&seen, last_answer_mps2, state);
+                .write_state(&observation, last_answer_mps2, state);
         }
     }
 
@@ -154,7 +212,7 @@ impl TrainingEpisode {
     pub fn observe<'p>(&mut self, past: &'p mut FrameStack) -> &'p [f32] {
         let last_answer_mps2 = self.held_action.last_answer_mps2();
         match self.stepper.observe(EGO) {
-            Some(seen) => past.push(&self.config.scaling, &seen, last_answer_mps2),
+            Some(observation) => past.push(&self.config.scaling, &observation, last_answer_mps2),
             None => &[],
         }
     }
@@ -171,96 +229,76 @@ impl TrainingEpisode {
     }
 
     fn advance(&mut self, is_commanded: bool) -> StepOutcome {
-        let Self {
-            stepper,
-            config: constants,
-            reward_tracker,
-            held_action,
-            steps_at_rest,
-            ..
-        } = self;
-        let mut expert_action = None;
         let EpisodeConstants {
             environment: config,
             action_bounds: bounds,
             ..
-        } = &**constants;
-        let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
-        let acceleration_mps2 = held_action.acceleration_mps2(bounds);
-        let mut after = |now: &StepView<'_>| {
-            of_last_step = reward_tracker.step_reward(now, config);
-            reward += of_last_step;
-            let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
-            *steps_at_rest = if at_rest { *steps_at_rest + 1 } else { 0 };
-            ending = if now.has_collided {
-                EpisodeEnding::Contact
-            } else if now.has_ended {
-                EpisodeEnding::TimeLimit
-            } else if *steps_at_rest >= self.min_rest_steps {
-                EpisodeEnding::AtRest
-            } else {
-                EpisodeEnding::None
-            };
-            if ending == EpisodeEnding::None {
-                ControlFlow::Continue(())
-            } else {
-                ControlFlow::Break(())
-            }
+        } = &*self.config;
+        let acceleration_mps2 = self.held_action.acceleration_mps2(bounds);
+        let mut rewards = DecisionRewards {
+            tracker: &mut self.reward_tracker,
+            config,
+            min_rest_steps: self.min_rest_steps,
+            steps_at_rest: &mut self.steps_at_rest,
+            sum: 0.0,
+            of_last_step: 0.0,
+            ending: EpisodeEnding::None,
         };
-        if stepper.consulted_mps2(EGO).is_some() {
-            for _ in 0..config.action_repeat {
-                if stepper.observe(EGO).is_none() {
-                    break;
-                }
-                if is_commanded {
-                    stepper.command(EGO, acceleration_mps2);
-                }
-                stepper.step();
-                let answer_mps2 = stepper.consulted_mps2(EGO);
-                expert_action =
-                    expert_action.or(answer_mps2.map(|answer_mps2| bounds.action(answer_mps2)));
-                if after(&stepper.view(EGO)).is_break() || stepper.has_ended() {
-                    break;
-                }
-            }
-            if !is_commanded && let Some(last_mps2) = stepper.consulted_mps2(EGO) {
-                held_action.set_last_answer_mps2(last_mps2);
+        let mut expert_action = None;
+        if self.stepper.consulted_mps2(EGO).is_some() {
+            let command_mps2 = is_commanded.then_some(acceleration_mps2);
+            let first_answer_mps2 = step_with_expert(&mut self.stepper, command_mps2, &mut rewards);
+            expert_action = first_answer_mps2.map(|answer_mps2| bounds.action(answer_mps2));
+            if !is_commanded && let Some(last_mps2) = self.stepper.consulted_mps2(EGO) {
+                self.held_action.set_last_answer_mps2(last_mps2);
             }
         } else {
-            stepper.drive(
+            self.stepper.drive(
                 EGO,
                 config.action_repeat as usize,
                 |_| acceleration_mps2,
-                after,
+                |now: &StepView<'_>| rewards.record(now),
             );
         }
+        let mut reward = rewards.sum;
+        let of_last_step = rewards.of_last_step;
+        let ending = rewards.ending;
         if ending == EpisodeEnding::Contact && config.harm_reward != 0.0 {
-            reward += config.harm_reward * harm(stepper.impacts(), stepper.motion().len());
+            reward +=
+                config.harm_reward * harm(self.stepper.impacts(), self.stepper.motion().len());
         }
         self.undiscounted_return += reward;
         let mut to_learn = reward;
         if ending == EpisodeEnding::AtRest {
             let steps_left = (self.total_steps - self.stepper.step_count()) as f64;
             self.undiscounted_return += steps_left * of_last_step;
-            let decisions_left = steps_left / f64::from(self.config.environment.action_repeat);
+            let decisions_left = steps_left / f64::from(config.action_repeat);
             to_learn += self.config.discount * self.standstill_return(of_last_step, decisions_left);
         }
-        let over = matches!(ending, EpisodeEnding::Contact | EpisodeEnding::AtRest)
-            || (ending == EpisodeEnding::TimeLimit
-                && self.config.environment.time_limit == TimeLimit::Termination);
         StepOutcome {
             reward: (to_learn * self.config.environment.reward_scale) as f32,
             ending,
-            continues: !over,
+            continues: !self.is_terminal(ending),
             expert_action,
+        }
+    }
+
+    /// True if no reward follows an ending, so that the value of the next state does not count.
+    fn is_terminal(&self, ending: EpisodeEnding) -> bool {
+        match ending {
+            EpisodeEnding::Contact | EpisodeEnding::AtRest => true,
+            EpisodeEnding::TimeLimit => {
+                self.config.environment.time_limit == TimeLimit::Termination
+            }
+            EpisodeEnding::None => false,
         }
     }
 
     /// Returns the discounted reward of standing still for the decisions that are left. If the time limit is a
     /// truncation, the reward continues for ever.
     fn standstill_return(&self, step_reward: f64, decisions_left: f64) -> f64 {
-        let each = step_reward * f64::from(self.config.environment.action_repeat);
-        let for_ever = each / (1.0 - self.config.discount);
+        let decision_reward = step_reward * f64::from(self.config.environment.action_repeat);
+        let for_ever = decision_reward / (1.0 - self.config.discount);
         match self.config.environment.time_limit {
             TimeLimit::Truncation => for_ever,
             TimeLimit::Termination => for_ever * (1.0 - self.config.discount.powf(decisions_left)),

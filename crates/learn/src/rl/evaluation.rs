@@ -57,15 +57,17 @@ pub struct PolicyEvaluation {
 impl PolicyEvaluation {
     /// Returns the rank, greater is better: first safety (and usefulness, if tested), then paper-3, then the gap.
     pub(crate) fn score(&self) -> [f64; 5] {
-        let safe = |is: bool| f64::from(u8::from(is));
+        let safe_in_paper = self
+            .is_safe_in_paper
+            .map(|is_safe| f64::from(u8::from(is_safe)));
         [
-            self.safe_share + safe(self.is_safe_in_paper[0]) + safe(self.is_safe_in_paper[1]),
+            self.safe_share + safe_in_paper[0] + safe_in_paper[1],
             match (self.combined_penalty, self.ranking_contacts) {
                 (Some(both_sides), _) => -both_sides,
                 (None, Some(contacts)) => -(contacts as f64),
                 (None, None) => f64::NEG_INFINITY,
             },
-            safe(self.is_safe_in_paper[2]),
+            safe_in_paper[2],
             self.smallest_gap_m,
             self.mean_reward,
         ]
@@ -109,7 +111,8 @@ impl EvaluationSet {
     /// # Errors
     /// [`TrainingError`] if its spaces cannot be drawn from.
     pub fn from_config(config: &TrainingConfig) -> Result<Self, TrainingError> {
-        let (evaluation, environment) = (&config.evaluation, &config.environment);
+        let evaluation = &config.evaluation;
+        let environment = &config.environment;
         let mut held_out = Self::new(evaluation, environment);
         if !config.spaces.is_empty() {
             let source = config.scenario_source()?;
@@ -138,7 +141,6 @@ impl EvaluationSet {
     /// # Errors
     /// [`RunError::DecisionInterval`] if the policy's decision interval does not fit the scenarios' step.
     pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<PolicyEvaluation, RunError> {
-        let of = self.environment.estimator;
         let mut is_safe_in_paper = [true; 3];
         let mut smallest_gap_m = f64::INFINITY;
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
@@ -148,7 +150,7 @@ impl EvaluationSet {
             }
             smallest_gap_m = smallest_gap_m.min(min_gap_m(&driven));
         }
-        let draws = drive(&self.screening, policy, of)?;
+        let draws = drive(&self.screening, policy, self.environment.estimator)?;
         let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
         let mut evaluation = PolicyEvaluation {
             is_safe_in_paper,
@@ -165,18 +167,28 @@ impl EvaluationSet {
             .take(self.required_paper_scenarios)
             .all(|&safe| safe);
         if safe == draws.len() && is_safe && !self.ranking.is_empty() {
-            let ranked = drive(&self.ranking, policy, of)?;
-            let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
-            evaluation.ranking_contacts = Some(contacts as u64);
-            evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
-            if let Some(traffic) = &self.traffic {
-                let useful = traffic.evaluate(&Arc::clone(policy).into_source())?;
-                evaluation.usefulness = Some(useful);
-                let contact_share = contacts as f64 / ranked.len() as f64;
-                evaluation.combined_penalty = Some(contact_share + useful.penalty());
-            }
+            self.rank(policy, &mut evaluation)?;
         }
         Ok(evaluation)
+    }
+
+    /// Simulates a policy in the ranking scenarios and in traffic, and adds the results.
+    fn rank(
+        &self,
+        policy: &Arc<Policy>,
+        evaluation: &mut PolicyEvaluation,
+    ) -> Result<(), RunError> {
+        let ranked = drive(&self.ranking, policy, self.environment.estimator)?;
+        let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
+        evaluation.ranking_contacts = Some(contacts as u64);
+        evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
+        if let Some(traffic) = &self.traffic {
+            let usefulness = traffic.evaluate(&Arc::clone(policy).into_source())?;
+            evaluation.usefulness = Some(usefulness);
+            let contact_share = contacts as f64 / ranked.len() as f64;
+            evaluation.combined_penalty = Some(contact_share + usefulness.penalty());
+        }
+        Ok(())
     }
 
     /// Returns the paper's reward of a run of 1500 steps.

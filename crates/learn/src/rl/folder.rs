@@ -247,17 +247,14 @@ impl SeedTraining<'_> {
 
 /// Returns the log up to the checkpoint of the trainer. The episodes after it are repeated.
 fn log_until_checkpoint(log: &str, trainer: &Trainer) -> String {
-    let is_done =
-        |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
-    // Drop an evaluation that was made only because an earlier training ended. It is repeated if this one ends at
-    // the same episode.
-    let is_of_the_end = |line: &&str| {
-        parse_evaluation(line)
-            .is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
-    };
     log.split_inclusive('\n')
-        .take_while(is_done)
-        .filter(|line| !is_of_the_end(line))
+        .take_while(|line| parse_episode(line).is_some_and(|episode| episode <= trainer.episode()))
+        // Drop an evaluation that was made only because an earlier training ended. It is repeated if this one ends at
+        // the same episode.
+        .filter(|line| {
+            parse_evaluation(line)
+                .is_none_or(|(episode, _)| episode == 0 || trainer.is_evaluation_episode(episode))
+        })
         .collect()
 }
 

@@ -19,7 +19,7 @@ use crumple_measure::EASY_BRAKE_MPS2;
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{Run, RunOptions};
 use crumple_sim::observation::EstimatorKind;
-use crumple_sim::policy::{FrameStack, Policy, Workspace};
+use crumple_sim::policy::{FrameStack, Network, Policy, Workspace};
 use crumple_sim::random::{self, Purpose};
 use crumple_sim::scenario::Scenario;
 
@@ -122,6 +122,30 @@ struct Rows {
     episodes: u64,
 }
 
+impl Rows {
+    /// Appends the rows of an episode.
+    fn append(&mut self, of_episode: Self) {
+        self.states.extend(of_episode.states);
+        self.actions.extend(of_episode.actions);
+        self.weights.extend(of_episode.weights);
+        self.hard_actions.extend(of_episode.hard_actions);
+        self.is_last.extend(of_episode.is_last);
+        self.contacts += of_episode.contacts;
+    }
+
+    /// Drops the rows after the first `count`, with `state_width` numbers for each observation.
+    fn truncate(&mut self, count: usize, state_width: usize) {
+        self.actions.truncate(count);
+        self.weights.truncate(count);
+        self.hard_actions.truncate(count);
+        self.is_last.truncate(count);
+        if let Some(last) = self.is_last.last_mut() {
+            *last = true;
+        }
+        self.states.truncate(count * state_width);
+    }
+}
+
 /// Rows of one step of the optimiser.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct ImitationBatch {
@@ -219,18 +243,13 @@ impl Trainer {
         let Some(imitation) = self.config.imitation.clone() else {
             return Ok(());
         };
-        let initial = self
-            .has_initial_policy
-            .then(|| self.build_policy(self.learner.actor.network.clone(), 0));
-        let initial = initial.transpose()?;
+        let initial = self.actor_if(self.has_initial_policy)?;
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
-            let before = (rows.contacts, rows.episodes);
+            let contacts_before = rows.contacts;
+            let episodes_before = rows.episodes;
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
-            let policy_drives = round > 0 || self.has_initial_policy;
-            let driver = policy_drives
-                .then(|| self.build_policy(self.learner.actor.network.clone(), 0))
-                .transpose()?;
+            let driver = self.actor_if(round > 0 || self.has_initial_policy)?;
             self.collect(
                 &imitation,
                 [driver.as_ref(), initial.as_ref()],
@@ -238,7 +257,8 @@ impl Trainer {
                 &mut rows,
             )?;
             let loss = self.fit(&imitation, &rows, round);
-            let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
+            let contacts = rows.contacts - contacts_before;
+            let episodes = rows.episodes - episodes_before;
             done(&ImitationRound {
                 round: round + 1,
                 rounds: imitation.rounds,
@@ -249,17 +269,17 @@ impl Trainer {
         }
         let actor = &mut self.learner.actor;
         if let Some(initial) = &initial {
-            for (new, &old) in actor
-                .network
-                .parameters_mut()
-                .iter_mut()
-                .zip(initial.network().parameters())
-            {
-                *new = 0.5 * *new + 0.5 * old;
-            }
+            average_parameters(&mut actor.network, initial.network());
         }
         actor.target = actor.network.clone();
         Ok(())
+    }
+
+    /// Returns the actor as a policy if a condition holds.
+    fn actor_if(&self, condition: bool) -> Result<Option<Policy>, TrainingError> {
+        condition
+            .then(|| self.build_policy(self.learner.actor.network.clone(), 0))
+            .transpose()
     }
 
     /// Adds rows until there are `wanted`. Without a `driver` the expert drives. The `initial` policy, if any, replaces
@@ -295,24 +315,11 @@ impl Trainer {
                 Ok(rows)
             });
             for of_episode in driven.collect::<Result<Vec<_>, TrainingError>>()? {
-                rows.states.extend(of_episode.states);
-                rows.actions.extend(of_episode.actions);
-                rows.weights.extend(of_episode.weights);
-                rows.hard_actions.extend(of_episode.hard_actions);
-                rows.is_last.extend(of_episode.is_last);
-                rows.contacts += of_episode.contacts;
+                rows.append(of_episode);
             }
             rows.episodes += EPISODES_AT_ONCE;
         }
-        rows.actions.truncate(wanted as usize);
-        rows.weights.truncate(wanted as usize);
-        rows.hard_actions.truncate(wanted as usize);
-        rows.is_last.truncate(wanted as usize);
-        if let Some(last) = rows.is_last.last_mut() {
-            *last = true;
-        }
-        rows.states
-            .truncate(wanted as usize * self.config.environment.observation.width());
+        rows.truncate(wanted as usize, self.config.environment.observation.width());
         Ok(())
     }
 
@@ -357,10 +364,18 @@ impl Trainer {
     }
 }
 
+/// Replaces each parameter by its mean with that of another network.
+fn average_parameters(network: &mut Network, other: &Network) {
+    for (parameter, &other) in network.parameters_mut().iter_mut().zip(other.parameters()) {
+        *parameter = 0.5 * *parameter + 0.5 * other;
+    }
+}
+
 /// Drives an episode and records the actions of the expert, or of `instead`.
 fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>, instead: Option<&Policy>) -> Rows {
-    let (mut past, mut space, mut rows) =
-        (FrameStack::default(), Workspace::default(), Rows::default());
+    let mut past = FrameStack::default();
+    let mut space = Workspace::default();
+    let mut rows = Rows::default();
     loop {
         let state = episode.observe(&mut past);
         rows.states.extend_from_slice(state);

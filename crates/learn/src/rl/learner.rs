@@ -9,7 +9,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::adam::Adam;
 use super::backprop::Tape;
-use super::config::{LearningConfig, Td3Config, TrainingConfig};
+use super::config::{LearningConfig, NetworkConfig, Td3Config, TrainingConfig};
 use super::imitation::{ImitationBatch, ImitationConfig, ImitationLoss};
 use super::replay::{Batch, NO_EXPERT_ACTION};
 use crumple_sim::policy::{Network, with_workers};
@@ -27,6 +27,20 @@ pub struct TrainableNetwork {
 }
 
 impl TrainableNetwork {
+    /// Performs a step of the optimiser. With `tau`, the target follows the network by this share.
+    fn descend(&mut self, gradients: &[f32], rate: f32, tau: Option<f32>) {
+        let follow = tau.map(|tau| (self.target.parameters_mut(), tau));
+        self.adam
+            .step(self.network.parameters_mut(), gradients, rate, follow);
+    }
+
+    /// Creates network `index` of a training, with initial weights from `seed`.
+    fn from_seed(config: &NetworkConfig, inputs: usize, seed: u64, index: u64) -> Self {
+        let sizes = [&[inputs], config.hidden.as_slice(), &[1]].concat();
+        let mut stream = random::stream(seed, Purpose::InitialWeights, index);
+        Self::new(init_network(&sizes, config.final_layer_bound, &mut stream))
+    }
+
     fn new(network: Network) -> Self {
         Self {
             target: network.clone(),
@@ -94,20 +108,14 @@ impl Learner {
             ..
         } = config;
         let inputs = config.environment.observation.width();
-        let sizes = |inputs| [&[inputs], network.hidden.as_slice(), &[1]].concat();
-        let fresh = |index, inputs| {
-            let mut stream = random::stream(seed, Purpose::InitialWeights, index);
-            TrainableNetwork::new(init_network(
-                &sizes(inputs),
-                network.final_layer_bound,
-                &mut stream,
-            ))
-        };
         let critics = if td3.twin_critic { 2 } else { 1 };
         Self {
-            actor: fresh(0, inputs),
+            actor: TrainableNetwork::from_seed(network, inputs, seed, 0),
             critics: (1..=critics)
-                .map(|index| fresh(index, inputs + learning.privileged_width() + 1))
+                .map(|index| {
+                    let inputs = inputs + learning.privileged_width() + 1;
+                    TrainableNetwork::from_seed(network, inputs, seed, index)
+                })
                 .collect(),
             updates: 0,
             state_width: inputs,
@@ -148,38 +156,22 @@ impl Learner {
         let actor_is_due = (self.updates + 1).is_multiple_of(u64::from(self.td3.actor_every));
         let mut losses = Losses::default();
         for index in 0..self.critics.len() {
-            let found = self.compute_critic_gradient(index, batch);
-            let TrainableNetwork {
-                network,
-                target,
-                adam,
-            } = &mut self.critics[index];
-            let follow = actor_is_due.then_some((target.parameters_mut(), self.learning.tau));
-            let rate = self.lr_factor * self.learning.critic_rate;
-            adam.step(
-                network.parameters_mut(),
+            let critic_losses = self.compute_critic_gradient(index, batch);
+            self.critics[index].descend(
                 &self.workspace.critic_gradients,
-                rate,
-                follow,
+                self.lr_factor * self.learning.critic_rate,
+                actor_is_due.then_some(self.learning.tau),
             );
             if index == 0 {
-                losses = found;
+                losses = critic_losses;
             }
         }
         if actor_is_due && !self.is_actor_frozen {
             self.compute_actor_gradient(batch);
-            let TrainableNetwork {
-                network,
-                target,
-                adam,
-            } = &mut self.actor;
-            let follow = Some((target.parameters_mut(), self.learning.tau));
-            let rate = self.lr_factor * self.learning.actor_rate;
-            adam.step(
-                network.parameters_mut(),
+            self.actor.descend(
                 &self.workspace.actor_gradients,
-                rate,
-                follow,
+                self.lr_factor * self.learning.actor_rate,
+                Some(self.learning.tau),
             );
         }
         self.updates += 1;
@@ -198,18 +190,12 @@ impl Learner {
         });
         squash_actions(raw, actions);
         if self.td3.target_noise > 0.0 {
-            let limit = self.td3.target_noise_limit;
-            for action in actions.iter_mut() {
-                let normal: f32 = StandardNormal.sample(noise);
-                *action = (*action + (self.td3.target_noise * normal).clamp(-limit, limit))
-                    .clamp(-1.0, 1.0);
-            }
+            add_target_noise(&self.td3, actions, noise);
         }
         for (index, critic) in self.critics.iter().enumerate() {
-            let fill = |input: &mut Vec<f32>| {
+            let values = target.forward(&critic.target, batch.len(), |input| {
                 fill_critic_input([&batch.next_states, &batch.next_privileged], actions, input)
-            };
-            let values = target.forward(&critic.target, batch.len(), fill);
+            });
             if index == 0 {
                 td_targets.clear();
                 td_targets.extend_from_slice(values);
@@ -240,10 +226,9 @@ impl Learner {
             ..
         } = &mut self.workspace;
         let network = &self.critics[index].network;
-        let fill = |input: &mut Vec<f32>| {
+        let values = tape.forward(network, batch.len(), |input| {
             fill_critic_input([&batch.states, &batch.privileged], &batch.actions, input)
-        };
-        let values = tape.forward(network, batch.len(), fill);
+        });
         let n = batch.len() as f64;
         let mut losses = Losses::default();
         value_gradients.clear();
@@ -321,10 +306,10 @@ impl Learner {
         for (row, (&next, &next_wanted)) in next_actions.iter().zip(&batch.next_actions).enumerate()
         {
             let action = actions[row];
-            let off = (next - action) - (next_wanted - batch.actions[row]);
+            let error = (next - action) - (next_wanted - batch.actions[row]);
             let weight = imitation.change_weight * batch.weights[row];
-            sum += f64::from(weight * off * off);
-            let slope = 2.0 * weight * off / n;
+            sum += f64::from(weight * error * error);
+            let slope = 2.0 * weight * error / n;
             value_gradients[row] -= slope * (1.0 - action * action);
             value_gradients.push(slope * (1.0 - next * next));
         }
@@ -375,19 +360,7 @@ impl Learner {
         }));
         let imitation = 2.0 * self.imitation_weight / n;
         if imitation > 0.0 {
-            for ((slope, &action), &wanted) in value_gradients
-                .iter_mut()
-                .zip(actions)
-                .zip(&batch.expert_actions)
-            {
-                // A row without an answer of the expert has no imitation gradient.
-                let off = if wanted == NO_EXPERT_ACTION {
-                    0.0
-                } else {
-                    action - wanted
-                };
-                *slope += imitation * off * (1.0 - action * action);
-            }
+            add_imitation_gradient(value_gradients, actions, &batch.expert_actions, imitation);
         }
         let changes = actions.iter().zip(next_actions).zip(&batch.continues);
         for (row, ((&action, &next), &continues)) in changes.enumerate() {
@@ -412,16 +385,44 @@ impl Learner {
     }
 }
 
+/// Adds target smoothing noise to actions.
+fn add_target_noise(td3: &Td3Config, actions: &mut [f32], noise: &mut Stream) {
+    let limit = td3.target_noise_limit;
+    for action in actions {
+        let normal: f32 = StandardNormal.sample(noise);
+        *action = (*action + (td3.target_noise * normal).clamp(-limit, limit)).clamp(-1.0, 1.0);
+    }
+}
+
+/// Adds the gradient of `weight`/2 (π(s) - e)² to that of the rows, with the expert's actions e.
+fn add_imitation_gradient(
+    gradients: &mut [f32],
+    actions: &[f32],
+    expert_actions: &[f32],
+    weight: f32,
+) {
+    for ((slope, &action), &wanted) in gradients.iter_mut().zip(actions).zip(expert_actions) {
+        // A row without an answer of the expert has no imitation gradient.
+        let error = if wanted == NO_EXPERT_ACTION {
+            0.0
+        } else {
+            action - wanted
+        };
+        *slope += weight * error * (1.0 - action * action);
+    }
+}
+
 /// Maps outputs of an actor to actions in `[-1, 1]`.
 fn squash_actions(raw: &[f32], actions: &mut Vec<f32>) {
     actions.clear();
     actions.extend(raw.iter().map(|&raw| libm::tanhf(raw)));
 }
 
-fn fill_critic_input(known: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
-    let widths = known.map(|rows| rows.len() / actions.len().max(1));
+/// Writes the rows of states, privileged numbers and actions side by side.
+fn fill_critic_input(states: [&[f32]; 2], actions: &[f32], input: &mut Vec<f32>) {
+    let widths = states.map(|rows| rows.len() / actions.len().max(1));
     for (row, &action) in actions.iter().enumerate() {
-        for (rows, width) in known.iter().zip(widths) {
+        for (rows, width) in states.iter().zip(widths) {
             input.extend_from_slice(&rows[row * width..(row + 1) * width]);
         }
         input.push(action);

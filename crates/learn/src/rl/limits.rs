@@ -120,16 +120,17 @@ impl TrainingConfig {
     /// Refuses a training that needs more than [`MAX_MEMORY_BYTES`], and names the field with the largest share.
     fn check_memory(&self) -> Result<(), TrainingConfigError> {
         let parts = self.memory_by_field();
-        let found = parts
+        let bytes = parts
             .iter()
             .fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
         let largest = parts.iter().max_by_key(|(_, bytes)| *bytes);
-        let Some((field, _)) = largest.filter(|_| found > MAX_MEMORY_BYTES) else {
+        let Some((field, _)) = largest.filter(|_| bytes > MAX_MEMORY_BYTES) else {
             return Ok(());
         };
-        let (found, allowed) = (found >> 20, MAX_MEMORY_BYTES >> 20);
         let problem = format!(
-            "training takes about {found} MiB of memory, and at most {allowed} MiB are allowed"
+            "training takes about {} MiB of memory, and at most {} MiB are allowed",
+            bytes >> 20,
+            MAX_MEMORY_BYTES >> 20
         );
         Err(TrainingConfigError::field(*field, problem))
     }
@@ -146,7 +147,6 @@ impl TrainingConfig {
         let draws = self.evaluation.screening_draws
             + self.evaluation.ranking_draws
             + self.evaluation.usefulness_draws;
-        let float_bytes = |count: u64| count.saturating_mul(size_of::<f32>() as u64);
         // The replay memory and its checkpoint. Without episodes it stays empty.
         let capacity = if self.episodes > 0 {
             self.replay.capacity as u64
@@ -175,6 +175,10 @@ impl TrainingConfig {
             ),
         ]
     }
+}
+
+fn float_bytes(count: u64) -> u64 {
+    count.saturating_mul(size_of::<f32>() as u64)
 }
 
 impl EnvironmentConfig {

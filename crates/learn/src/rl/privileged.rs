@@ -38,17 +38,18 @@ pub(super) struct PrivilegedInfo<'s> {
 impl<'s> PrivilegedInfo<'s> {
     pub(super) fn new(scenario: &'s Scenario, costs_times: f64) -> Self {
         let behind = scenario.vehicles().get(EGO + 1);
-        let brake = |index: usize| scenario.usable_brake_mps2(index) / FULL_BRAKE_MPS2;
-        let flag = |is: bool| f64::from(u8::from(is));
+        let relative_brake = |index| scenario.usable_brake_mps2(index) / FULL_BRAKE_MPS2;
+        let [has_follower, is_unaware] = [behind.is_some(), has_unaware_follower(scenario)]
+            .map(|flag| f64::from(u8::from(flag)));
         let of_episode = [
             costs_times.max(MIN_COST_MULTIPLIER).log10(),
             scenario.spec().environment.friction,
-            brake(EGO - 1),
-            brake(EGO),
-            behind.map_or(0.0, |_| brake(EGO + 1)),
+            relative_brake(EGO - 1),
+            relative_brake(EGO),
+            behind.map_or(0.0, |_| relative_brake(EGO + 1)),
             behind.map_or(0.0, |vehicle| vehicle.reaction_delay_s),
-            flag(behind.is_some()),
-            flag(has_unaware_follower(scenario)),
+            has_follower,
+            is_unaware,
         ];
         Self {
             scenario,

@@ -127,13 +127,33 @@ impl Batch {
     }
 }
 
+impl Transition<'_> {
+    /// Returns the numbers in the order of the memory.
+    fn to_row(self) -> Vec<f32> {
+        let states = [self.state, self.next_state, self.privileged]
+            .into_iter()
+            .flatten()
+            .copied();
+        let [continues, contact] =
+            [self.continues, self.contact].map(|flag| f32::from(u8::from(flag)));
+        let scalars: [f32; SCALAR_COUNT] = [
+            self.action,
+            self.reward,
+            continues,
+            contact,
+            self.expert_action.unwrap_or(NO_EXPERT_ACTION),
+        ];
+        states.chain(scalars).collect()
+    }
+}
+
 impl ReplayBuffer {
     /// Creates an empty memory for `capacity` transitions.
-    pub(crate) fn new(capacity: usize, remembered: TransitionLayout) -> Self {
-        let width = remembered.width();
+    pub(crate) fn new(capacity: usize, layout: TransitionLayout) -> Self {
+        let width = layout.width();
         Self {
             capacity: capacity.max(1),
-            layout: remembered,
+            layout,
             width,
             total_stored: 0,
             data: Vec::new(),
@@ -148,29 +168,12 @@ impl ReplayBuffer {
 
     /// Stores a transition; a full memory overwrites the oldest one.
     pub(crate) fn push(&mut self, transition: &Transition<'_>) {
-        let place = (self.total_stored % self.capacity as u64) as usize;
-        let known = [
-            transition.state,
-            transition.next_state,
-            transition.privileged,
-        ]
-        .into_iter()
-        .flatten()
-        .copied();
-        let [continues, contact] =
-            [transition.continues, transition.contact].map(|is| f32::from(u8::from(is)));
-        let scalars: [f32; SCALAR_COUNT] = [
-            transition.action,
-            transition.reward,
-            continues,
-            contact,
-            transition.expert_action.unwrap_or(NO_EXPERT_ACTION),
-        ];
-        let numbers: Vec<f32> = known.chain(scalars).collect();
+        let index = (self.total_stored % self.capacity as u64) as usize;
+        let numbers = transition.to_row();
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
-        match self.data.chunks_exact_mut(self.width).nth(place) {
+        match self.data.chunks_exact_mut(self.width).nth(index) {
             Some(oldest) => {
-                if self.contact_indices.front() == Some(&(place as u32)) {
+                if self.contact_indices.front() == Some(&(index as u32)) {
                     self.contact_indices.pop_front();
                 }
                 oldest
@@ -184,7 +187,7 @@ impl ReplayBuffer {
             }
         }
         if transition.contact {
-            self.contact_indices.push_back(place as u32);
+            self.contact_indices.push_back(index as u32);
         }
         self.total_stored += 1;
     }
@@ -217,13 +220,13 @@ impl ReplayBuffer {
         } else {
             (contact_share * count as f64).round() as usize
         };
-        for index in 0..count {
-            let place = if index < of_contacts {
+        for drawn in 0..count {
+            let index = if drawn < of_contacts {
                 self.contact_indices[stream.random_range(0..self.contact_indices.len())] as usize
             } else {
                 stream.random_range(0..self.len())
             };
-            if let Some(transition) = self.transition(place) {
+            if let Some(transition) = self.transition(index) {
                 batch.push(&transition);
             }
         }
@@ -256,37 +259,34 @@ impl ReplayBuffer {
         } else {
             (stored % capacity as u64) as usize
         };
-        let places = (oldest..replay.len()).chain(0..oldest);
-        let is_contact = |&place: &usize| {
-            replay
-                .transition(place)
-                .is_some_and(|transition| transition.contact)
-        };
-        replay.contact_indices = places
-            .filter(is_contact)
-            .map(|place| place as u32)
+        replay.contact_indices = (oldest..replay.len())
+            .chain(0..oldest)
+            .filter(|&index| {
+                replay
+                    .transition(index)
+                    .is_some_and(|transition| transition.contact)
+            })
+            .map(|index| index as u32)
             .collect();
         Some(replay)
     }
 
-    fn transition(&self, place: usize) -> Option<Transition<'_>> {
+    fn transition(&self, index: usize) -> Option<Transition<'_>> {
         let row = self
             .data
-            .get(place * self.width..(place + 1) * self.width)?;
-        let (known, &[action, reward, continues, contact, expert]) = row.split_last_chunk()?;
-        let (state, known) = known.split_at_checked(self.layout.state_width)?;
-        let (next_state, privileged) = known.split_at_checked(self.layout.state_width)?;
-        let (continues, contact) = (continues != 0.0, contact != 0.0);
-        let expert_action = Some(expert).filter(|&action| action != NO_EXPERT_ACTION);
+            .get(index * self.width..(index + 1) * self.width)?;
+        let (states, &[action, reward, continues, contact, expert]) = row.split_last_chunk()?;
+        let (state, others) = states.split_at_checked(self.layout.state_width)?;
+        let (next_state, privileged) = others.split_at_checked(self.layout.state_width)?;
         Some(Transition {
             state,
             next_state,
             privileged,
             action,
             reward,
-            continues,
-            contact,
-            expert_action,
+            continues: continues != 0.0,
+            contact: contact != 0.0,
+            expert_action: Some(expert).filter(|&action| action != NO_EXPERT_ACTION),
         })
     }
 }
@@ -322,7 +322,7 @@ mod tests {
 
         /// The memory holds the last `capacity` transitions and finds collisions, also after a checkpoint.
         #[test]
-        fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {
+        fn the_replay_buffer_keeps_the_last_transitions(capacity in 1..30_usize, count in 1..100_usize) {
             let mut replay = ReplayBuffer::new(capacity, LAYOUT);
             (0..count).for_each(|number| replay.push(&numbered_transition(number)));
             let kept = count.saturating_sub(capacity)..count;
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn draws_are_uniform_and_contacts_get_their_share() {
+    fn sampling_is_uniform_and_collisions_get_their_share() {
         let mut replay = ReplayBuffer::new(70, LAYOUT);
         (0..70).for_each(|number| replay.push(&numbered_transition(number)));
         let mut batch = Batch::default();

@@ -122,12 +122,15 @@ mod tests {
     }
 
     #[test]
-    fn each_term_by_hand() {
+    fn each_reward_term_equals_the_hand_computed_value() {
         let none = CostConfig::default;
         assert_eq!(relative_step_reward(none()), 1.0);
         let costs = |costs, by_hand: f64| {
-            let found = relative_step_reward(costs);
-            assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
+            let actual = relative_step_reward(costs);
+            assert!(
+                (actual - (1.0 - by_hand)).abs() < 2e-3,
+                "{actual} {by_hand}"
+            );
         };
         costs(
             CostConfig {

@@ -16,12 +16,12 @@ pub(super) fn deserialize_f32_no_underflow<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<f32, D::Error> {
     let written = f64::deserialize(deserializer)?;
-    let kept = written as f32;
-    if kept == 0.0 && written != 0.0 {
+    let number = written as f32;
+    if number == 0.0 && written != 0.0 {
         let problem = format!(
             "{written:e} is so small that it would count as 0: write 0, or a larger number"
         );
         return Err(D::Error::custom(problem));
     }
-    Ok(kept)
+    Ok(number)
 }

@@ -123,10 +123,11 @@ impl ScenarioSource for SourceMixture {
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
-        let (first, otherwise) = (source_name(&self.first)?, source_name(&self.second)?);
         Ok(Some(format!(
-            "a share of {} of {first}, otherwise {otherwise}",
-            self.first_share
+            "a share of {} of {}, otherwise {}",
+            self.first_share,
+            source_name(&self.first)?,
+            source_name(&self.second)?
         )))
     }
 }
@@ -195,10 +196,12 @@ impl ScenarioSource for CaseMixture {
         for case in &self.cases {
             digest.update(serde_json::to_string(case.spec())?);
         }
-        let (digest, otherwise) = (digest.hexadecimal(), source_name(&self.base)?);
-        let (share, count) = (self.case_share, self.cases.len());
         Ok(Some(format!(
-            "a share of {share} of {count} cases (sha256 {digest}), otherwise {otherwise}"
+            "a share of {} of {} cases (sha256 {}), otherwise {}",
+            self.case_share,
+            self.cases.len(),
+            digest.hexadecimal(),
+            source_name(&self.base)?
         )))
     }
 }
@@ -229,7 +232,7 @@ mod tests {
     use crumple_sim::scenario::built_in_scenario;
 
     #[test]
-    fn cases_get_their_share_and_leave_the_other_episodes_as_they_are() {
+    fn cases_get_their_share_and_other_episodes_are_unchanged() {
         let cases = vec![
             built_in_scenario("paper-1").unwrap(),
             built_in_scenario("paper-2").unwrap(),
@@ -253,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blend_takes_its_share_of_each_source_as_it_is() {
+    fn a_source_mixture_takes_its_share_of_each_source_unchanged() {
         let space = crumple_spaces::built_in_space("high-risk").unwrap();
         let blend = SourceMixture::new(Arc::new(PaperSource), 0.25, Arc::new(space.clone()));
         let nominal = (0..2000).filter(|&index| {

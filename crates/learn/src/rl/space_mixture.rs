@@ -75,48 +75,31 @@ impl SpaceMixture {
     ) -> Result<Self, TrainingConfigError> {
         check_spaces(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
-        let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
-        for (
-            index,
-            TrainingSpace {
-                space: name,
-                weight,
-                cost_multiplier,
-                uniform_share,
-            },
-        ) in shares.iter().enumerate()
-        {
-            let problem =
-                |problem| TrainingConfigError::field(format!("spaces[{index}].space"), problem);
-            let space =
-                find_space(name, &controllers).map_err(|error| problem(error.to_string()))?;
-            let first = space
-                .draw(0, 0)
-                .map_err(|error| problem(format!("`{name}` has no random scenario: {error}")))?;
-            if let Some(reason) = unsuitability(&first) {
-                return Err(problem(format!("`{name}` cannot be trained on: {reason}")));
-            }
-            // Two files can hold the same space.
-            if let Some(same) = parts
-                .iter()
-                .position(|part| part.space.spec() == space.spec())
-            {
-                return Err(problem(format!(
-                    "`{name}` is the space of spaces[{same}]: {ONE_WEIGHT_HINT}"
-                )));
-            }
-            let share = weight / total;
-            below += share;
-            let (cost_multiplier, uniform_share) = (*cost_multiplier, *uniform_share);
-            parts.push(SpaceComponent {
+        let mut components = Vec::<SpaceComponent>::new();
+        let mut cumulative_share = 0.0;
+        for (index, training_space) in shares.iter().enumerate() {
+            let name = &training_space.space;
+            let space = load_space(name, &controllers)
+                .and_then(|space| match same_space(&components, &space) {
+                    Some(same) => Err(format!(
+                        "`{name}` is the space of spaces[{same}]: {ONE_WEIGHT_HINT}"
+                    )),
+                    None => Ok(space),
+                })
+                .map_err(|problem| {
+                    TrainingConfigError::field(format!("spaces[{index}].space"), problem)
+                })?;
+            let share = training_space.weight / total;
+            cumulative_share += share;
+            components.push(SpaceComponent {
                 space,
                 share,
-                cumulative_share: below,
-                cost_multiplier,
-                uniform_share,
+                cumulative_share,
+                cost_multiplier: training_space.cost_multiplier,
+                uniform_share: training_space.uniform_share,
             });
         }
-        Ok(Self { components: parts })
+        Ok(Self { components })
     }
 
     /// Yields the spaces.
@@ -198,6 +181,25 @@ impl ScenarioSource for SpaceMixture {
     }
 }
 
+/// Loads a space and checks that a policy can be trained in it.
+fn load_space(name: &str, controllers: &Controllers) -> Result<ScenarioSpace, String> {
+    let space = find_space(name, controllers).map_err(|error| error.to_string())?;
+    let first = space
+        .draw(0, 0)
+        .map_err(|error| format!("`{name}` has no random scenario: {error}"))?;
+    match unsuitability(&first) {
+        Some(reason) => Err(format!("`{name}` cannot be trained on: {reason}")),
+        None => Ok(space),
+    }
+}
+
+/// Returns the index of a component with the same space: two files can hold the same one.
+fn same_space(components: &[SpaceComponent], space: &ScenarioSpace) -> Option<usize> {
+    components
+        .iter()
+        .position(|component| component.space.spec() == space.spec())
+}
+
 /// Checks the ranges of weights and factors, and that no space is listed twice, without reading a file.
 pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfigError> {
     if shares.len() > MAX_SPACES {
@@ -207,27 +209,20 @@ pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfi
         );
         return Err(TrainingConfigError::field("spaces", problem));
     }
-    for (
-        index,
-        TrainingSpace {
-            space,
-            weight,
-            cost_multiplier,
-            uniform_share,
-        },
-    ) in shares.iter().enumerate()
-    {
-        check_range(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
+    for (index, share) in shares.iter().enumerate() {
+        let field = format!("spaces[{index}]");
+        check_range(&format!("{field}.weight"), share.weight, WEIGHT_RANGE)?;
         check_range(
-            &format!("spaces[{index}].cost_multiplier"),
-            *cost_multiplier,
+            &format!("{field}.cost_multiplier"),
+            share.cost_multiplier,
             [0.0, MAX_COST_MULTIPLIER],
         )?;
         check_range(
-            &format!("spaces[{index}].uniform_share"),
-            *uniform_share,
+            &format!("{field}.uniform_share"),
+            share.uniform_share,
             [0.0, 1.0],
         )?;
+        let space = &share.space;
         if shares
             .iter()
             .take(index)
@@ -235,7 +230,7 @@ pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfi
         {
             let problem = format!("`{space}` is named twice: {ONE_WEIGHT_HINT}");
             return Err(TrainingConfigError::field(
-                format!("spaces[{index}].space"),
+                format!("{field}.space"),
                 problem,
             ));
         }
@@ -258,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
+    fn each_space_gets_its_share_and_its_own_samples() {
         let spaces = [("traffic", 3.0), ("paper", 1.0), ("high-risk", 4.0)];
         let blend = SpaceMixture::new(
             &spaces.map(|(space, weight)| training_space(space, weight)),
@@ -275,12 +270,12 @@ mod tests {
             counts[place] += 1;
         }
         // Four standard deviations.
-        for (found, expected, four) in [
+        for (actual, expected, four) in [
             (counts[0], 750, 87),
             (counts[1], 250, 60),
             (counts[2], 1000, 90),
         ] {
-            assert!(found.abs_diff(expected) < four, "{counts:?}");
+            assert!(actual.abs_diff(expected) < four, "{counts:?}");
         }
         let identity = blend.identity().unwrap().unwrap();
         assert!(
@@ -292,10 +287,10 @@ mod tests {
     #[test]
     fn too_many_spaces_and_infinite_numbers_are_named() {
         let refused = |shares: &[TrainingSpace], expected: &str| {
-            let found = SpaceMixture::new(shares, Controllers::default())
+            let actual = SpaceMixture::new(shares, Controllers::default())
                 .unwrap_err()
                 .to_string();
-            assert!(found.starts_with(expected), "{found}");
+            assert!(actual.starts_with(expected), "{actual}");
         };
         refused(
             &vec![training_space("paper", 1.0); 33],

@@ -330,8 +330,8 @@ impl Trainer {
 
     fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {
         let environment = &self.config.environment;
-        let each = environment.step_reward * f64::from(environment.action_repeat);
-        let discounted = each / (1.0 - self.config.learning.discount);
+        let decision_reward = environment.step_reward * f64::from(environment.action_repeat);
+        let discounted = decision_reward / (1.0 - self.config.learning.discount);
         // With termination at the time limit, no value exceeds the reward of one episode.
         let paid = match environment.time_limit {
             TimeLimit::Truncation => discounted,
@@ -341,7 +341,8 @@ impl Trainer {
         // The harm of two vehicles is at most 2.
         let dearest_contact = -environment.contact_reward - 2.0 * environment.harm_reward;
         let largest_value = environment.reward_scale * most_cost * paid.max(dearest_contact);
-        let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
+        let critic_loss = record.critic_loss;
+        let mean_value = record.mean_value;
         // ReLU turns NaN into 0, so the outputs of a broken network can be finite.
         let is_whole = self
             .learner
@@ -353,10 +354,9 @@ impl Trainer {
         {
             return Ok(());
         }
-        let (seed, episode) = (self.seed, record.episode);
         Err(TrainingError::Diverged {
-            seed,
-            episode,
+            seed: self.seed,
+            episode: record.episode,
             critic_loss,
             mean_value,
             largest_value,

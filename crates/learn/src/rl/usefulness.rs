@@ -59,8 +59,9 @@ impl TrafficUsefulness {
         let off_s = (closest_s - self.mean_time_gap_s)
             .max(self.mean_time_gap_s - furthest_s)
             .max(0.0);
-        let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
-        let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
+        let [acceleration_excess, jerk_excess] = [self.acceleration_times_idm, self.jerk_times_idm]
+            .map(|times_idm| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0));
+        let excess = acceleration_excess + jerk_excess + off_s;
         (self.contacts + self.hard_braking + self.fell_behind) as f64
             / self.scenario_count.max(1) as f64
             + EXCESS_WEIGHT * excess
@@ -74,6 +75,52 @@ pub(crate) struct TrafficBenchmark {
     line: Option<Scenario>,
     estimator: EstimatorKind,
     idm_rms: [f64; 2],
+}
+
+/// Counts and sums over the drives of everyday traffic.
+#[derive(Default)]
+struct TrafficTally {
+    contacts: u64,
+    hard_braking: u64,
+    fell_behind: u64,
+    /// Drives with a mean time gap.
+    moving_drives: u64,
+    /// Of the root mean squares of acceleration and jerk.
+    sum_squares: [f64; 2],
+    time_gap_sum_s: f64,
+}
+
+impl TrafficTally {
+    /// Simulates runs and adds up their measures.
+    fn from_runs(runs: &[Run]) -> Self {
+        let drives = simulate_batch(runs, RecordingLevel::Trace, |_, result| {
+            (
+                result.outcome.contact().is_some(),
+                measure_usefulness(&result),
+            )
+        });
+        let mut tally = Self::default();
+        for (collided, measures) in drives {
+            tally.contacts += u64::from(collided);
+            if let Some(measures) = measures {
+                tally.add(&measures);
+            }
+        }
+        tally
+    }
+
+    fn add(&mut self, measures: &UsefulnessMeasures) {
+        self.hard_braking += u64::from(!measures.hard.is_empty());
+        self.sum_squares[0] += measures.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
+        self.sum_squares[1] += measures.rms_jerk_mps3.unwrap_or(0.0).powi(2);
+        if let Some(following) = &measures.following {
+            self.fell_behind += u64::from(following.fell_behind);
+            if let Some(time_gap_s) = following.mean_time_gap_s {
+                self.time_gap_sum_s += time_gap_s;
+                self.moving_drives += 1;
+            }
+        }
+    }
 }
 
 impl TrafficBenchmark {
@@ -105,40 +152,19 @@ impl TrafficBenchmark {
             .iter()
             .map(|scenario| Run::new(scenario, options.clone()))
             .collect::<Result<Vec<_>, _>>()?;
-        let each = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            (
-                result.outcome.contact().is_some(),
-                measure_usefulness(&result),
-            )
-        });
-        let (mut contacts, mut hard_braking, mut fell_behind, mut moving_drives) = (0, 0, 0, 0_u64);
-        let (mut sum_squares, mut time_gap_sum_s) = ([0.0; 2], 0.0);
-        for (collided, found) in each {
-            contacts += u64::from(collided);
-            let Some(found) = found else { continue };
-            hard_braking += u64::from(!found.hard.is_empty());
-            sum_squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
-            sum_squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-            let Some(following) = found.following else {
-                continue;
-            };
-            fell_behind += u64::from(following.fell_behind);
-            if let Some(time_gap_s) = following.mean_time_gap_s {
-                time_gap_sum_s += time_gap_s;
-                moving_drives += 1;
-            }
-        }
-        let [acceleration, jerk] =
-            sum_squares.map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());
+        let tally = TrafficTally::from_runs(&runs);
+        let [acceleration, jerk] = tally
+            .sum_squares
+            .map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());
         let [idm_acceleration, idm_jerk] = self.idm_rms;
         Ok(TrafficUsefulness {
             scenario_count: runs.len() as u64,
-            contacts,
-            hard_braking,
-            fell_behind,
+            contacts: tally.contacts,
+            hard_braking: tally.hard_braking,
+            fell_behind: tally.fell_behind,
             acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
             jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
-            mean_time_gap_s: time_gap_sum_s / moving_drives.max(1) as f64,
+            mean_time_gap_s: tally.time_gap_sum_s / tally.moving_drives.max(1) as f64,
             line_gain: self
                 .line
                 .as_ref()
@@ -153,7 +179,7 @@ fn line_gain(line: &Scenario, options: RunOptions) -> Result<Option<f64>, RunErr
     let trace = result.trace.as_ref().filter(|_| result.outcome.is_safe());
     Ok(trace
         .and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S))
-        .map(|found| found.overall))
+        .map(|amplification| amplification.overall))
 }
 
 /// Measures the usefulness of a run; none without its trace.

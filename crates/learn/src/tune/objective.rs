@@ -66,19 +66,20 @@ impl ScoringSet {
         estimator: EstimatorKind,
         with_traffic: bool,
     ) -> Result<Self, TuneError> {
-        let sample = |TuningSpace { space, weight }: &TuningSpace| {
+        let mut samples = Vec::new();
+        for TuningSpace { space, weight } in spaces {
             let scenarios = (0..runs)
                 .map(|index| space.draw(seed, index))
                 .collect::<Result<_, _>>()?;
-            Ok::<_, TuneError>((scenarios, *weight))
-        };
+            samples.push((scenarios, *weight));
+        }
         let traffic = with_traffic
             .then(|| TrafficBenchmark::new(seed, runs, estimator))
             .transpose()?;
         Ok(Self {
             objective,
             estimator,
-            spaces: spaces.iter().map(sample).collect::<Result<_, _>>()?,
+            spaces: samples,
             traffic,
         })
     }
@@ -89,14 +90,16 @@ impl ScoringSet {
         controller: &BuiltInController,
     ) -> Result<ControllerScore, RunError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
-        let (mut collisions, mut share, mut total_weight) = (Vec::new(), 0.0, 0.0);
+        let mut collisions = Vec::new();
+        let mut share = 0.0;
+        let mut total_weight = 0.0;
         for (scenarios, weight) in &self.spaces {
             let runs = scenarios
                 .iter()
-                .map(|one| Run::new(one, options.clone()))
+                .map(|scenario| Run::new(scenario, options.clone()))
                 .collect::<Result<Vec<_>, _>>()?;
-            let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, found| {
-                found.outcome.contact().is_some()
+            let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
+                result.outcome.contact().is_some()
             });
             let count = collided.into_iter().filter(|&collided| collided).count() as u64;
             collisions.push(count);
@@ -109,7 +112,7 @@ impl ScoringSet {
             .map(|traffic| traffic.evaluate(&controller.clone().into_source()))
             .transpose()?;
         let penalty = match (self.objective, &traffic) {
-            (TuningObjective::Both, Some(found)) => found.penalty(),
+            (TuningObjective::Both, Some(usefulness)) => usefulness.penalty(),
             _ => 0.0,
         };
         Ok(ControllerScore {

@@ -122,21 +122,15 @@ impl TuningPlan {
 
     /// Checks everything that would fail later, before any file is written.
     pub(super) fn check_spaces(&self) -> Result<(), TuneError> {
-        let error = |space: &str, problem| {
-            Err(TuneError::Space {
-                space: space.to_owned(),
-                problem,
-            })
-        };
         if self.spaces.is_empty() {
-            return error("", "at least one scenario space is needed");
+            return Err(space_error("", "at least one scenario space is needed"));
         }
         for (index, TuningSpace { space, weight }) in self.spaces.iter().enumerate() {
             if !WEIGHT_RANGE.contains(weight) {
-                return error(
+                return Err(space_error(
                     space.name(),
                     "the weight must be between 0.000001 and 1000000",
-                );
+                ));
             }
             if self
                 .spaces
@@ -144,10 +138,13 @@ impl TuningPlan {
                 .take(index)
                 .any(|other| other.space.name() == space.name())
             {
-                return error(space.name(), "occurs twice: give it one weight");
+                return Err(space_error(
+                    space.name(),
+                    "occurs twice: give it one weight",
+                ));
             }
             if !space.draw(0, 0)?.has_vehicle_under_test() {
-                return error(space.name(), "has no vehicle under test");
+                return Err(space_error(space.name(), "has no vehicle under test"));
             }
         }
         Ok(())
@@ -165,9 +162,9 @@ impl TuningPlan {
             controller: self.search.initial().to_arg(),
             config: &self.config,
             settings: searched
-                .map(|one| SettingRecord {
-                    name: one.field.name,
-                    range: one.range,
+                .map(|setting| SettingRecord {
+                    name: setting.field.name,
+                    range: setting.range,
                 })
                 .collect(),
             spaces: self
@@ -193,4 +190,11 @@ impl<'a> SpaceRecord<'a> {
 
 fn encoding_error(problem: impl std::fmt::Display) -> RunFolderError {
     RunFolderError::encoding(PLAN, problem)
+}
+
+fn space_error(space: &str, problem: &'static str) -> TuneError {
+    TuneError::Space {
+        space: space.to_owned(),
+        problem,
+    }
 }

@@ -93,21 +93,6 @@ impl TuningReport {
         test: Vec<ControllerScore>,
     ) -> Result<Self, TuneError> {
         let default = BuiltInController::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
-        let setting = |((field, tuned), (_, default)): ((&'static _, f64), (_, f64))| {
-            let field: &crumple_sim::control::SettingField = field;
-            let searched = plan
-                .search
-                .searched()
-                .iter()
-                .find(|searched| searched.field.name == field.name);
-            TunedSetting {
-                name: field.name.to_owned(),
-                unit: field.unit().to_owned(),
-                range: searched.map(|searched| searched.range),
-                default,
-                tuned,
-            }
-        };
         Ok(Self {
             version: TUNE_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
@@ -118,10 +103,24 @@ impl TuningReport {
             spaces: plan
                 .spaces
                 .iter()
-                .map(|one| one.space.name().to_owned())
+                .map(|tuning_space| tuning_space.space.name().to_owned())
                 .collect(),
-            weights: plan.spaces.iter().map(|one| one.weight).collect(),
-            settings: tuned.values().zip(default.values()).map(setting).collect(),
+            weights: plan
+                .spaces
+                .iter()
+                .map(|tuning_space| tuning_space.weight)
+                .collect(),
+            settings: tuned
+                .values()
+                .zip(default.values())
+                .map(|((field, tuned), (_, default))| TunedSetting {
+                    name: field.name.to_owned(),
+                    unit: field.unit().to_owned(),
+                    range: plan.search.searched_range(field),
+                    default,
+                    tuned,
+                })
+                .collect(),
             finalists,
             test,
         })
@@ -230,28 +229,32 @@ impl TuningReport {
             fn(&TrafficUsefulness, &TuningReport) -> String,
         );
         let measures: [MeasureRow; 6] = [
-            ("collisions in `traffic`", |found, report| {
-                report.format_share(found.contacts)
+            ("collisions in `traffic`", |usefulness, report| {
+                report.format_share(usefulness.contacts)
             }),
-            ("unnecessary hard braking in `traffic`", |found, report| {
-                report.format_share(found.hard_braking)
+            (
+                "unnecessary hard braking in `traffic`",
+                |usefulness, report| report.format_share(usefulness.hard_braking),
+            ),
+            ("left behind in `traffic`", |usefulness, report| {
+                report.format_share(usefulness.fell_behind)
             }),
-            ("left behind in `traffic`", |found, report| {
-                report.format_share(found.fell_behind)
+            ("RMS acceleration, relative to `idm`", |usefulness, _| {
+                format!("{:.2}", usefulness.acceleration_times_idm)
             }),
-            ("RMS acceleration, relative to `idm`", |found, _| {
-                format!("{:.2}", found.acceleration_times_idm)
+            ("RMS jerk, relative to `idm`", |usefulness, _| {
+                format!("{:.2}", usefulness.jerk_times_idm)
             }),
-            ("RMS jerk, relative to `idm`", |found, _| {
-                format!("{:.2}", found.jerk_times_idm)
-            }),
-            ("mean time gap, s", |found, _| {
-                format!("{:.2}", found.mean_time_gap_s)
+            ("mean time gap, s", |usefulness, _| {
+                format!("{:.2}", usefulness.mean_time_gap_s)
             }),
         ];
         for (name, measure) in measures {
             rows.push(self.test_row(name, |score| {
-                score.traffic.as_ref().map(|found| measure(found, self))
+                score
+                    .traffic
+                    .as_ref()
+                    .map(|usefulness| measure(usefulness, self))
             }));
         }
         rows.push(self.test_row("objective", |score| Some(format!("{:.4}", score.objective))));

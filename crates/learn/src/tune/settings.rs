@@ -25,6 +25,17 @@ pub struct SearchedSetting {
 }
 
 impl SearchedSetting {
+    /// Sets a value outside the range to the middle of it.
+    fn move_into_range(&self, controller: &mut BuiltInController) {
+        let [low, high] = self.range;
+        if let Some(value) = controller
+            .get_mut(self.index)
+            .filter(|value| !(low..=high).contains(&**value))
+        {
+            *value = self.value(0.5);
+        }
+    }
+
     /// Returns the value at a coordinate in [0, 1], in the unit of the setting.
     ///
     /// Search methods start at 0.5, which is the initial value unless that is outside the range. Values are rounded to
@@ -84,32 +95,13 @@ impl SettingSearch {
             .collect();
         let mut searched = Vec::new();
         for (index, (field, value)) in initial.values().enumerate() {
-            let requested: Vec<_> = requests
-                .iter()
-                .filter(|request| request.name == field.name)
-                .collect();
+            let is_fixed = fixed.contains(&field.name);
+            let requested = find_request(field, requests, is_fixed)?;
             let range = requested
-                .iter()
-                .find_map(|request| request.range)
+                .and_then(|request| request.range)
                 .unwrap_or(field.typical_range);
-            let (is_fixed, error) = (fixed.contains(&field.name), |problem| {
-                setting_error(field.name, problem)
-            });
-            if requested.len() > 1 {
-                return Err(error("is requested twice".to_owned()));
-            }
-            if is_fixed && !requested.is_empty() {
-                return Err(error(
-                    "is fixed in the controller, and requested".to_owned(),
-                ));
-            }
-            let [least, most] = field.range;
-            if !(least <= range[0] && range[0] < range[1] && range[1] <= most) {
-                return Err(error(format!(
-                    "a range must be LOW..HIGH, with LOW below HIGH, in {least}..{most}"
-                )));
-            }
-            if !is_fixed && (requests.is_empty() || !requested.is_empty()) {
+            check_range(field, range)?;
+            if !is_fixed && (requests.is_empty() || requested.is_some()) {
                 searched.push(SearchedSetting {
                     field,
                     range,
@@ -118,39 +110,12 @@ impl SettingSearch {
                 });
             }
         }
-        let names = || {
-            initial
-                .fields()
-                .iter()
-                .map(|field| field.name)
-                .collect::<Vec<_>>()
-                .join(", ")
-        };
-        let is_known = |request: &&SettingRequest| {
-            initial
-                .fields()
-                .iter()
-                .any(|field| field.name == request.name)
-        };
-        if let Some(unknown) = requests.iter().find(|request| !is_known(request)) {
-            let problem = format!(
-                "is not a setting of {}: there are {}",
-                initial.name(),
-                names()
-            );
-            return Err(setting_error(&unknown.name, problem));
-        }
+        check_names(&initial, requests)?;
         if searched.is_empty() {
             return Err(TuneError::AllFixed(controller.to_owned()));
         }
         for setting in &searched {
-            let [low, high] = setting.range;
-            if let Some(value) = initial
-                .get_mut(setting.index)
-                .filter(|value| !(low..=high).contains(&**value))
-            {
-                *value = setting.value(0.5);
-            }
+            setting.move_into_range(&mut initial);
         }
         Ok(Self { initial, searched })
     }
@@ -168,6 +133,14 @@ impl SettingSearch {
         &self.searched
     }
 
+    /// Returns the range of a setting, if it is searched.
+    pub(super) fn searched_range(&self, field: &SettingField) -> Option<[f64; 2]> {
+        self.searched
+            .iter()
+            .find(|setting| setting.field.name == field.name)
+            .map(|setting| setting.range)
+    }
+
     pub(super) fn cube(&self) -> Result<UnitCube, TuneError> {
         UnitCube::new(self.searched.iter().map(|_| 1))
             .map_err(|EmptyBlock| TuneError::AllFixed(self.initial.to_arg()))
@@ -182,6 +155,60 @@ impl SettingSearch {
             }
         }
         controller
+    }
+}
+
+/// Returns the request of a setting, if any. A setting can be requested once, unless it is fixed.
+fn find_request<'a>(
+    field: &SettingField,
+    requests: &'a [SettingRequest],
+    is_fixed: bool,
+) -> Result<Option<&'a SettingRequest>, TuneError> {
+    let mut requested = requests.iter().filter(|request| request.name == field.name);
+    let request = requested.next();
+    if requested.next().is_some() {
+        return Err(setting_error(field.name, "is requested twice".to_owned()));
+    }
+    if is_fixed && request.is_some() {
+        return Err(setting_error(
+            field.name,
+            "is fixed in the controller, and requested".to_owned(),
+        ));
+    }
+    Ok(request)
+}
+
+fn check_range(field: &SettingField, [low, high]: [f64; 2]) -> Result<(), TuneError> {
+    let [least, most] = field.range;
+    if least <= low && low < high && high <= most {
+        Ok(())
+    } else {
+        Err(setting_error(
+            field.name,
+            format!("a range must be LOW..HIGH, with LOW below HIGH, in {least}..{most}"),
+        ))
+    }
+}
+
+/// Checks that all requested settings exist.
+fn check_names(
+    controller: &BuiltInController,
+    requests: &[SettingRequest],
+) -> Result<(), TuneError> {
+    let names: Vec<&str> = controller.fields().iter().map(|field| field.name).collect();
+    match requests
+        .iter()
+        .find(|request| !names.contains(&request.name.as_str()))
+    {
+        Some(unknown) => Err(setting_error(
+            &unknown.name,
+            format!(
+                "is not a setting of {}: there are {}",
+                controller.name(),
+                names.join(", ")
+            ),
+        )),
+        None => Ok(()),
     }
 }
 
@@ -206,9 +233,9 @@ mod tests {
             for spec in BuiltInController::all().iter().filter(|spec| !spec.fields().is_empty()) {
                 let search = SettingSearch::parse(spec.name(), &[]).unwrap();
                 let point = &coordinates[..search.searched().len()];
-                let found = search.controller_at(point);
-                prop_assert_eq!(BuiltInController::parse(&found.to_arg()), Some(Ok(found.clone())));
-                for ((field, value), setting) in found.values().zip(search.searched()) {
+                let controller = search.controller_at(point);
+                prop_assert_eq!(BuiltInController::parse(&controller.to_arg()), Some(Ok(controller.clone())));
+                for ((field, value), setting) in controller.values().zip(search.searched()) {
                     prop_assert!((setting.range[0]..=setting.range[1]).contains(&value), "{}: {value}", field.name);
                 }
                 let [low, high] = [0.0, 1.0].map(|end| search.controller_at(&vec![end; point.len()]));

@@ -217,7 +217,7 @@ impl TuningPlan {
         log: &CandidateLog,
         observer: &dyn Observer<TuningProgress>,
     ) -> Result<(), TuneError> {
-        let objectives = log.candidates().iter().map(|one| one.objective);
+        let objectives = log.candidates().iter().map(|candidate| candidate.objective);
         let test_runs = self.test_runs_per_controller().saturating_mul(3);
         let progress = TuningProgress {
             done,

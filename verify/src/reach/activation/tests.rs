@@ -5,20 +5,20 @@ use num_traits::Float;
 use proptest::prelude::*;
 
 /// Evaluates a function in single precision, as a network does, or in double for real numbers.
-fn evaluate<F: Float>(each: &Activation, x: F) -> F {
+fn evaluate<F: Float>(activation: &Activation, x: F) -> F {
     let number_of = |number: f64| F::from(number).unwrap();
-    let of = |operands: &[f64]| number_of(operands[0]);
+    let operand = |operands: &[f64]| number_of(operands[0]);
     let below = |value: F| if x < F::zero() { value } else { x };
-    match each {
+    match activation {
         Activation::Relu => x.max(F::zero()),
         Activation::LeakyRelu(slope) => below(number_of(*slope) * x),
         Activation::Elu(alpha) => below(number_of(*alpha) * x.exp_m1()),
         Activation::Tanh => x.tanh(),
         Activation::Sigmoid => F::one() / (F::one() + (-x).exp()),
-        Activation::Add(operands) => x + of(operands),
-        Activation::Multiply(operands) => x * of(operands),
-        Activation::Divide(operands) => x / of(operands),
-        Activation::Clip { low, high } => x.max(of(low)).min(of(high)),
+        Activation::Add(operands) => x + operand(operands),
+        Activation::Multiply(operands) => x * operand(operands),
+        Activation::Divide(operands) => x / operand(operands),
+        Activation::Clip { low, high } => x.max(operand(low)).min(operand(high)),
     }
 }
 
@@ -49,9 +49,9 @@ fn any_activation() -> impl Strategy<Value = Activation> {
 }
 
 /// Returns the inner points at which a function less a line of this slope may be extreme.
-fn extremum_candidates(each: &Activation, slope: f64) -> Vec<f64> {
+fn extremum_candidates(activation: &Activation, slope: f64) -> Vec<f64> {
     let either = |x: f64| vec![-x, x];
-    match each {
+    match activation {
         Activation::Relu | Activation::LeakyRelu(_) => vec![0.0],
         Activation::Elu(alpha) => vec![0.0, (slope / alpha).ln()],
         Activation::Tanh => either((1.0 - slope).sqrt().atanh()),
@@ -62,13 +62,13 @@ fn extremum_candidates(each: &Activation, slope: f64) -> Vec<f64> {
 }
 
 /// Bounds the single-precision rounding between two ends, by the list in the module documentation.
-fn expected_rounding(each: &Activation, low: f64, high: f64) -> f64 {
+fn expected_rounding(activation: &Activation, low: f64, high: f64) -> f64 {
     let u = 2.0_f64.powi(-24);
     let largest = [low, high]
-        .map(|x| evaluate(each, x).abs())
+        .map(|x| evaluate(activation, x).abs())
         .into_iter()
         .fold(0.0, f64::max);
-    match each {
+    match activation {
         Activation::LeakyRelu(slope) if low < 0.0 => u * slope.abs() * -low,
         Activation::Elu(alpha) if low < 0.0 => 8.0 * u * alpha.abs(),
         Activation::Tanh | Activation::Sigmoid => 4.0 * u,
@@ -86,36 +86,36 @@ proptest! {
     /// slope.
     #[test]
     fn lines_enclose_computed_values_tightly(
-        each in any_activation(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
+        activation in any_activation(), middle in prop_oneof![-4.0..4.0_f32, -100.0..100.0_f32],
         radius in prop_oneof![Just(0.0), 0.0..0.01_f32, 0.0..8.0_f32, 0.0..100.0_f32],
     ) {
         let (low, high) = (f64::from(middle - radius), f64::from(middle + radius));
-        let line = each.relaxation(0, low, high);
+        let line = activation.relaxation(0, low, high);
         for at in 0..=20 {
             let x = (low + (high - low) * f64::from(at) / 20.0).clamp(low, high) as f32;
-            let (found, on_line) = (f64::from(evaluate(&each, x)), line.slope * f64::from(x));
-            let slack = line.rounding + 1e-15 * (1.0 + found.abs() + on_line.abs());
-            let off = found - on_line;
-            prop_assert!(off >= line.low - slack && off <= line.high + slack, "{each:?} at {x}: {off} {line:?}");
+            let (actual, on_line) = (f64::from(evaluate(&activation, x)), line.slope * f64::from(x));
+            let slack = line.rounding + 1e-15 * (1.0 + actual.abs() + on_line.abs());
+            let off = actual - on_line;
+            prop_assert!(off >= line.low - slack && off <= line.high + slack, "{activation:?} at {x}: {off} {line:?}");
         }
-        let inside = extremum_candidates(&each, line.slope).into_iter().filter(|&x| low < x && x < high);
-        let off: Vec<f64> = inside.chain([low, high]).map(|x| evaluate(&each, x) - line.slope * x).collect();
+        let inside = extremum_candidates(&activation, line.slope).into_iter().filter(|&x| low < x && x < high);
+        let off: Vec<f64> = inside.chain([low, high]).map(|x| evaluate(&activation, x) - line.slope * x).collect();
         let (least, most) = off.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &x| (a.min(x), b.max(x)));
         let near = 1e-11 * (1.0 + line.slope.abs()) * (1.0 + low.abs().max(high.abs()));
-        prop_assert!((line.low - least).abs() <= near && (line.high - most).abs() <= near, "{each:?} {line:?} {least} \
-            {most}");
-        let expected = expected_rounding(&each, low, high);
+        let is_near = (line.low - least).abs() <= near && (line.high - most).abs() <= near;
+        prop_assert!(is_near, "{activation:?} {line:?} {least} {most}");
+        let expected = expected_rounding(&activation, low, high);
         let tight = expected..=expected * (1.0 + 1e-5) + 2e-44;
-        prop_assert!(tight.contains(&line.rounding), "{each:?} {line:?} {expected}");
-        let chord = (evaluate(&each, high) - evaluate(&each, low)) / (high - low);
-        let is_smooth = matches!(each, Activation::Tanh | Activation::Sigmoid | Activation::Elu(_));
+        prop_assert!(tight.contains(&line.rounding), "{activation:?} {line:?} {expected}");
+        let chord = (evaluate(&activation, high) - evaluate(&activation, low)) / (high - low);
+        let is_smooth = matches!(activation, Activation::Tanh | Activation::Sigmoid | Activation::Elu(_));
         if high - low > 1e-3 && !is_smooth {
-            prop_assert!((line.slope - chord).abs() <= 1e-9 * (1.0 + chord.abs()), "{each:?} {line:?} {chord}");
+            prop_assert!((line.slope - chord).abs() <= 1e-9 * (1.0 + chord.abs()), "{activation:?} {line:?} {chord}");
         }
     }
 
     #[test]
-    fn bent_activations_have_a_kink_inside(
+    fn an_activation_is_nonlinear_exactly_if_a_kink_is_inside(
         low in -3..4_i32, width in 0..4_i32, least in -2..3_i32, between in 0..3_i32,
         slope in prop::sample::select(vec![-0.5, 0.0, 0.1]),
     ) {
@@ -123,32 +123,34 @@ proptest! {
         let (least, most) = (f64::from(least), f64::from(least + between));
         let clip = Activation::Clip { low: vec![least], high: vec![most] };
         let leaky = Activation::LeakyRelu(slope);
-        for (each, kinks) in [(Activation::Relu, vec![0.0]), (leaky, vec![0.0]), (clip, vec![least, most])] {
+        for (activation, kinks) in [(Activation::Relu, vec![0.0]), (leaky, vec![0.0]), (clip, vec![least, most])] {
             let is_bent = kinks.iter().any(|&kink| low < kink && kink < high);
-            prop_assert_eq!(each.is_nonlinear_on(0, low, high), is_bent, "{:?} {} {}", each, low, high);
-            let line = each.relaxation(0, low, high);
+            prop_assert_eq!(activation.is_nonlinear_on(0, low, high), is_bent, "{:?} {} {}", activation, low, high);
+            let line = activation.relaxation(0, low, high);
             let is_straight = line.high - line.low <= 1e-290;
             // Two kinks may be level with each other.
-            prop_assert!(is_straight || is_bent, "{each:?} {line:?}");
+            prop_assert!(is_straight || is_bent, "{activation:?} {line:?}");
         }
         prop_assert_eq!(Activation::Elu(0.5).is_nonlinear_on(0, low, high), low < 0.0);
-        let is_bent = |each: Activation| each.is_nonlinear_on(0, low, high);
+        let is_bent = |activation: Activation| activation.is_nonlinear_on(0, low, high);
         prop_assert!(is_bent(Activation::Tanh) && is_bent(Activation::Sigmoid));
         prop_assert!(!is_bent(Activation::Add(vec![1.0])) && !is_bent(Activation::Divide(vec![2.0])));
     }
 
     #[test]
-    fn the_largest_is_reached(each in any_activation()) {
+    fn the_magnitude_bound_is_reached(activation in any_activation()) {
         let bound = 50.0;
-        let reached = [-bound, bound].map(|x| evaluate(&each, x).abs()).into_iter().fold(0.0, f64::max);
-        let largest = each.max_magnitude(0, bound);
-        prop_assert!((largest - reached).abs() <= 1e-12 * reached, "{each:?}: {largest} {reached}");
+        let reached = [-bound, bound].map(|x| evaluate(&activation, x).abs()).into_iter().fold(0.0, f64::max);
+        let largest = activation.max_magnitude(0, bound);
+        prop_assert!((largest - reached).abs() <= 1e-12 * reached, "{activation:?}: {largest} {reached}");
     }
 
     #[test]
-    fn the_result_for_a_form_is_its_line(each in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64) {
+    fn a_form_is_enclosed_by_its_relaxation(
+        activation in any_activation(), low in -4.0..4.0_f64, width in 0.1..4.0_f64,
+    ) {
         let x = AffineForm::symbol(0, Interval::new(low, low + width).unwrap());
-        let (line, made) = (each.relaxation(0, x.range().low(), x.range().high()), each.apply(0, &x));
+        let (line, made) = (activation.relaxation(0, x.range().low(), x.range().high()), activation.apply(0, &x));
         let (middle, radius) = line.middle_and_radius();
         let near = 1e-13 * (1.0 + low.abs() + width) * (1.0 + line.slope.abs()) + 1e-13 * middle.abs();
         prop_assert!((made.centre() - (line.slope * x.centre() + middle)).abs() <= near);
@@ -161,9 +163,9 @@ proptest! {
 
 /// Checks that lines without excess change nothing, to the bit.
 #[test]
-fn linear_pieces_are_unchanged() {
+fn linear_pieces_are_relaxed_without_error() {
     let one = |number: f64| vec![number];
-    for each in [
+    for activation in [
         Activation::Relu,
         Activation::LeakyRelu(0.1),
         Activation::Elu(0.5),
@@ -173,16 +175,19 @@ fn linear_pieces_are_unchanged() {
         },
     ] {
         for (low, high) in [(0.0, 2.0), (0.5, 0.5), (1.0, 3.0)] {
-            assert!(each.relaxation(0, low, high).is_identity(), "{each:?}");
+            assert!(
+                activation.relaxation(0, low, high).is_identity(),
+                "{activation:?}"
+            );
         }
         let x = AffineForm::symbol(0, Interval::new(0.5, 2.0).unwrap());
-        assert_eq!(each.apply(0, &x), x);
+        assert_eq!(activation.apply(0, &x), x);
     }
     for (low, high) in [(-2.0, 0.0), (-2.0, -1.0)] {
         let line = Activation::Relu.relaxation(0, low, high);
         assert!(line.is_constant() && line == LinearRelaxation::new_constant(0.0));
     }
-    for (each, cut) in [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| {
+    for (activation, cut) in [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| {
         (
             Activation::Clip {
                 low,
@@ -192,8 +197,11 @@ fn linear_pieces_are_unchanged() {
         )
     }) {
         for (low, high) in [(3.0, 3.0), (3.0, 7.0), (cut, 7.0)] {
-            let line = each.relaxation(0, low, high);
-            assert!(line.is_constant() && line.low == cut, "{each:?} {line:?}");
+            let line = activation.relaxation(0, low, high);
+            assert!(
+                line.is_constant() && line.low == cut,
+                "{activation:?} {line:?}"
+            );
         }
     }
     let below = Activation::Clip {
@@ -219,59 +227,59 @@ fn linear_pieces_are_unchanged() {
 }
 
 #[test]
-fn numbers_have_as_many_operands_as_there_are() {
+fn an_activation_has_the_width_of_its_operands() {
     let numbers = vec![1.0, 2.0, 3.0];
     let clip = Activation::Clip {
         low: numbers.clone(),
         high: numbers.clone(),
     };
-    for each in [
+    for activation in [
         Activation::Add(numbers.clone()),
         Activation::Multiply(numbers.clone()),
         Activation::Divide(numbers),
         clip,
     ] {
-        assert_eq!(each.width(), Some(3));
+        assert_eq!(activation.width(), Some(3));
     }
-    for each in [
+    for activation in [
         Activation::Relu,
         Activation::LeakyRelu(0.1),
         Activation::Elu(1.0),
         Activation::Tanh,
         Activation::Sigmoid,
     ] {
-        assert_eq!(each.width(), None);
+        assert_eq!(activation.width(), None);
     }
 }
 
 /// exp costs ten times as much as a product; a ReLU is free, as it is merged with the layer before it.
 #[test]
-fn curved_activations_cost_most() {
+fn curved_activations_have_the_highest_cost() {
     assert_eq!(
         [
             Activation::Relu,
             Activation::LeakyRelu(0.1),
             Activation::Tanh
         ]
-        .map(|each| each.operations()),
+        .map(|activation| activation.operations()),
         [0, 100, 1000]
     );
 }
 
 /// Small products lose more than in proportion; a quotient rounds on either side of its line.
 #[test]
-fn small_values_may_be_lost() {
+fn rounding_includes_underflow() {
     let least = f64::from(f32::from_bits(1));
-    for (each, by) in [
+    for (activation, by) in [
         (Activation::LeakyRelu(0.25), 0.25),
         (Activation::Multiply(vec![0.25]), 0.25),
         (Activation::Divide(vec![4.0]), 0.25),
     ] {
-        let line = each.relaxation(0, -3.0 * least, -least);
+        let line = activation.relaxation(0, -3.0 * least, -least);
         let lost = by * 3.0 * least - f64::from((by * 3.0 * least) as f32);
         assert!(
             line.rounding >= lost.abs() && line.rounding >= 0.5 * least && line.rounding <= 2e-44,
-            "{each:?} {line:?}"
+            "{activation:?} {line:?}"
         );
     }
     let line = Activation::Divide(vec![3.0]).relaxation(0, -1.0, 6.0);

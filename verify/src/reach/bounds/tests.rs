@@ -53,17 +53,17 @@ proptest! {
     /// Checks a ReLU of c + Σ Λᵢ (yᵢ - middle) + Σ Eⱼ ηⱼ + ρ against the chord; double precision adds 10⁻¹² of all
     /// sizes to ρ.
     #[test]
-    fn functions_of_numbers_equal_the_formula(
+    fn a_relu_of_bounds_equals_the_chord_formula(
         centres in any(1.0), terms in rows(0.5), rests in not_negative(0.1),
         centre in any(0.5), columns in rows(1.0), rho in not_negative(0.05), is_sure: bool,
     ) {
         let inputs = input_forms(centres, terms, rests);
         let known = InputForms::new(&inputs);
         let rho = if is_sure { [0.0; NUMBERS] } else { rho };
-        let mut found = network_bounds(centre, columns, rho);
-        found.apply_activation(&Activation::Relu, &known);
+        let mut actual = network_bounds(centre, columns, rho);
+        actual.apply_activation(&Activation::Relu, &known);
         let column = |j: usize, number: usize| columns[j][number];
-        let mut excess = found.excess.iter();
+        let mut excess = actual.excess.iter();
         for number in 0..NUMBERS {
             let slopes: [f64; NUMBERS] = std::array::from_fn(|i| column(i, number));
             let own = column(NUMBERS, number).abs() + column(NUMBERS + 1, number).abs();
@@ -80,41 +80,41 @@ proptest! {
             let ends = [bent(apart), bent(together)].into_iter().flat_map(|(low, high)| [low, high]);
             prop_assume!(ends.into_iter().all(|end| end.abs() > 1e-2));
             if high <= 0.0 {
-                prop_assert!(found.centre[number] == 0.0 && found.rho[number] == 0.0);
-                prop_assert!(found.columns.iter().skip(number).step_by(NUMBERS).all(|&factor| factor == 0.0));
+                prop_assert!(actual.centre[number] == 0.0 && actual.rho[number] == 0.0);
+                prop_assert!(actual.columns.iter().skip(number).step_by(NUMBERS).all(|&factor| factor == 0.0));
             } else if low >= 0.0 {
-                prop_assert!(found.centre[number] == centre[number] && found.rho[number] == rho[number]);
+                prop_assert!(actual.centre[number] == centre[number] && actual.rho[number] == rho[number]);
             } else {
                 let slope = high / (high - low);
                 let half = -0.5 * slope * low;
                 let &(of, radius) = excess.next().unwrap();
                 prop_assert!(of == number && is_near(radius, half, 2e-13), "{radius} {half}");
-                prop_assert!((found.centre[number] - (centre[number] * slope + half)).abs() <= 1e-13);
-                for (j, &factor) in found.columns.iter().skip(number).step_by(NUMBERS).enumerate() {
+                prop_assert!((actual.centre[number] - (centre[number] * slope + half)).abs() <= 1e-13);
+                for (j, &factor) in actual.columns.iter().skip(number).step_by(NUMBERS).enumerate() {
                     prop_assert!((factor - slope * column(j, number)).abs() <= 1e-13);
                 }
                 let size = centre[number].abs() + apart + own + 2.0 * half;
                 let relative = if is_sure { 1e-9 } else { 2e-13 };
-                prop_assert!(is_near(found.rho[number], rho[number] * slope + SUM_REL_ERROR * size, relative));
+                prop_assert!(is_near(actual.rho[number], rho[number] * slope + SUM_REL_ERROR * size, relative));
             }
         }
         prop_assert!(excess.next().is_none());
     }
 
     #[test]
-    fn a_product_makes_rounding_larger(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
-        let mut found = NetworkBounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
-        found.apply_activation(&Activation::Multiply(vec![factor]), &InputForms::new(&[]));
+    fn a_product_increases_the_rounding_bound(centre in 0.5..2.0_f64, factor in 2.0..50.0_f64, own in 0.0..1.0_f64) {
+        let mut actual = NetworkBounds { columns: vec![own], centre: vec![centre], rho: vec![0.0], excess: Vec::new() };
+        actual.apply_activation(&Activation::Multiply(vec![factor]), &InputForms::new(&[]));
         let line = Activation::Multiply(vec![factor]).relaxation(0, centre - own, centre + own);
         let expected = SUM_REL_ERROR * (centre + own) * factor + line.rounding;
-        prop_assert!(is_near(found.rho[0], expected, 1e-11), "{} {expected}", found.rho[0]);
-        prop_assert!(found.excess.is_empty() && found.columns == [own * factor]);
+        prop_assert!(is_near(actual.rho[0], expected, 1e-11), "{} {expected}", actual.rho[0]);
+        prop_assert!(actual.excess.is_empty() && actual.columns == [own * factor]);
     }
 }
 
 /// The sum of roundings grows faster than their number: γ = n u / (1 - n u).
 #[test]
-fn a_wide_layer_rounds_more_than_in_proportion() {
+fn the_rounding_bound_grows_faster_than_the_width() {
     let (wide, u) = (1000_usize, 2.0_f64.powi(-24));
     let inputs: Vec<AffineForm> = (0..wide)
         .map(|i| {
@@ -139,7 +139,7 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
     bounds
         .columns
         .extend((0..wide).map(|i| if i == 8 { 0.25 } else { 0.0 }));
-    let found = bounds.apply_linear(&layer, &InputForms::new(&inputs));
+    let actual = bounds.apply_linear(&layer, &InputForms::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
     let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
     let of = |i: usize| {
@@ -152,35 +152,35 @@ fn a_wide_layer_rounds_more_than_in_proportion() {
     };
     let expected = 3.0 * gamma + (0..wide).map(of).sum::<f64>();
     assert!(
-        is_near(found.rho[0], expected, 1e-11),
+        is_near(actual.rho[0], expected, 1e-11),
         "{} {expected}",
-        found.rho[0]
+        actual.rho[0]
     );
-    assert!(found.rho[0] > expected * (1.0 + 0.9 * SUM_REL_ERROR));
+    assert!(actual.rho[0] > expected * (1.0 + 0.9 * SUM_REL_ERROR));
     let centre = 3.0
         + inputs
             .iter()
             .zip(&weights)
             .map(|(input, weight)| input.centre() * weight)
             .sum::<f64>();
-    assert!(is_near(found.centre[0], centre, 1e-12));
-    assert_eq!(found.columns.last(), Some(&(weights[5] * 0.125)));
+    assert!(is_near(actual.centre[0], centre, 1e-12));
+    assert_eq!(actual.columns.last(), Some(&(weights[5] * 0.125)));
 }
 
 #[test]
-fn functions_may_follow_each_other() {
+fn consecutive_activations_are_bounded() {
     let inputs = input_forms(
         [0.0, 1.0, 2.0],
         [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]],
         [0.0, 0.125, 0.0],
     );
     let known = InputForms::new(&inputs);
-    let mut found = NetworkBounds::from_inputs(&inputs);
-    found.apply_activation(&Activation::Relu, &known);
-    assert_eq!(found.excess.len(), 2);
-    found.apply_activation(&Activation::Multiply(vec![2.0; NUMBERS]), &known);
-    assert!(found.excess.is_empty() && found.column_count() == NUMBERS + 2);
-    let form = found.into_form(0, &inputs).unwrap();
+    let mut actual = NetworkBounds::from_inputs(&inputs);
+    actual.apply_activation(&Activation::Relu, &known);
+    assert_eq!(actual.excess.len(), 2);
+    actual.apply_activation(&Activation::Multiply(vec![2.0; NUMBERS]), &known);
+    assert!(actual.excess.is_empty() && actual.column_count() == NUMBERS + 2);
+    let form = actual.into_form(0, &inputs).unwrap();
     // From [-1, 1]: half of it and 1/4 on either side, twice.
     assert!(
         is_near(form.rest(), 0.5, 1e-6)

@@ -21,7 +21,7 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn all_have_stood_a_step_after_the_last_has_stopped(
+    fn members_have_stood_one_step_after_the_last_stop(
         v in 0.0..30.0_f64, b in 0.5..9.0_f64, onset in 0.0..60.0_f64, widths in prop::array::uniform3(0.0..3.0_f64),
     ) {
         let braking = braking_vehicle([v, v + widths[0]], [b, b + widths[1]], [onset, onset + widths[2]]);
@@ -33,7 +33,9 @@ proptest! {
     }
 
     #[test]
-    fn one_vehicle_is_at_the_closed_form(v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32) {
+    fn a_single_vehicle_moves_by_the_closed_form(
+        v in 0.1..30.0_f64, b in 0.5..9.0_f64, onset in 0..40_u32, k in 0..120_u32,
+    ) {
         let VehicleState { distance, speed, acceleration } =
             braking_vehicle([v; 2], [b; 2], [f64::from(onset); 2]).state_at(k, Interval::point(STEP_S));
         let [until, since] = [f64::from(k.min(onset)) * STEP_S, f64::from(k.saturating_sub(onset)) * STEP_S];
@@ -52,7 +54,7 @@ proptest! {
 
 /// A member that brakes for the whole step is observed at its rate; otherwise at any value.
 #[test]
-fn members_that_brake_in_the_whole_step_before_are_seen_to_brake() {
+fn the_observed_acceleration_is_exact_after_a_full_step_of_braking() {
     let step = Interval::point(STEP_S);
     let braking = braking_vehicle([20.0, 21.0], [5.0, 6.0], [2.0, 5.0]);
     assert_eq!(

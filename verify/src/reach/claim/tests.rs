@@ -46,7 +46,7 @@ fn a_file_name_begins_with_kind_and_digest() {
 }
 
 #[test]
-fn a_claim_is_about_as_many_steps_as_it_has() {
+fn the_horizon_is_the_number_of_steps_times_the_step() {
     assert_eq!(claim(Vec::new()).horizon_s(), 15.0);
 }
 
@@ -70,7 +70,7 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
 
 /// The limit holds for repeated lower and for repeated upper halves.
 #[test]
-fn a_cell_is_cut_no_more_often_than_may_be() {
+fn the_limit_of_cuts_is_exact() {
     let cut = PartitionCell::Cut(BoxDimension::GapAheadM);
     for (cuts, expected) in [(MAX_CUTS, ""), (MAX_CUTS + 1, "cuts too often")] {
         let lower: Vec<PartitionCell> =
@@ -93,7 +93,7 @@ fn a_cell_is_cut_no_more_often_than_may_be() {
 }
 
 #[test]
-fn a_partition_of_too_many_cells_is_refused_as_such() {
+fn too_many_cells_are_refused() {
     assert!(
         problem(claim(vec![PartitionCell::Undecided; MAX_CELLS + 1]).leaves())
             .ends_with("has too many cells")
@@ -106,7 +106,7 @@ fn a_partition_of_too_many_cells_is_refused_as_such() {
 
 /// A colliding point falsifies only its own cell.
 #[test]
-fn a_point_is_one_of_its_cell() {
+fn a_falsifying_point_must_lie_in_its_cell() {
     let controller = constant_controller(0.0);
     let mut ranges = point_box([1.0, 20.0, 0.0, 5.0, 0.0, 0.0, 0.0, 0.0]);
     ranges.gap_ahead_m = interval(1.0, 2.0);

@@ -30,7 +30,7 @@ fn an_input_is_as_wide_as_its_observation_error_and_rounding() {
     ] {
         for (error, off) in [(&error, off), (&NO_ERROR, 0.0)] {
             for (offset, scale) in [(0.0, 1.0), (7.0, 4.0), (7.0, -4.0), (4.0, 1.0)] {
-                let found = ControllerInput {
+                let actual = ControllerInput {
                     offset,
                     scale,
                     ..affine_input(coefficients(factors), 0.5)
@@ -46,14 +46,14 @@ fn an_input_is_as_wide_as_its_observation_error_and_rounding() {
                 let ends = ends.map(|end| (end + 0.5 - offset) / scale);
                 let [low, high] = [ends[0].min(ends[1]), ends[0].max(ends[1])];
                 let rounding = low.abs().max(high.abs()) * UNIT_ROUNDOFF * (1.0 + 1e-6);
-                assert_bounds(found, [low - rounding, high + rounding], 1e-10);
+                assert_bounds(actual, [low - rounding, high + rounding], 1e-10);
             }
         }
     }
 }
 
 #[test]
-fn an_input_is_cut_and_may_be_absent() {
+fn an_input_is_clipped_and_may_be_absent() {
     let seen = observation_with(point_form(3.0), point_form(10.0));
     let at =
         |input: ControllerInput, is_followed| input.enclose(&seen, &NO_ERROR, is_followed).range();
@@ -125,7 +125,7 @@ fn a_sum_of_observations_is_off_by_one_rounding_of_double_precision() {
 }
 
 #[test]
-fn the_stretched_answer_is_off_by_a_share_of_its_terms() {
+fn the_rounding_of_the_scaled_output_is_relative_to_its_terms() {
     let seen = observation_with(point_form(0.0), symbol_form(1, -5.0, 7.0));
     for (factors, constant, scale_mps2, offset_mps2) in [
         ([0.0, 1.0], 2.0, 3.0, -2.0),
@@ -229,7 +229,7 @@ fn min_operations(controller: &NeuralController) -> u64 {
 }
 
 #[test]
-fn functions_are_counted_for_each_number() {
+fn activations_are_charged_for_each_number() {
     let with = |each: usize| {
         let between = std::iter::repeat_n(
             NetworkLayer::Activation(Activation::Add(vec![0.25; 7])),
@@ -250,10 +250,10 @@ fn functions_are_counted_for_each_number() {
         3 * 7 * Activation::Add(Vec::new()).operations()
     );
     // 7 (1/2 + 1/10 + 3/4)/2 + 1/10.
-    let found = with(3).decide(
+    let actual = with(3).decide(
         &observation_with(point_form(3.0), point_form(10.0)),
         &NO_ERROR,
         true,
     );
-    assert_bounds(found.range(), [4.825; 2], 1e-5);
+    assert_bounds(actual.range(), [4.825; 2], 1e-5);
 }

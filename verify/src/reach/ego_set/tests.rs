@@ -27,7 +27,7 @@ proptest! {
 
     /// Compares supports from the same middle: no smaller, so all members remain, and hardly larger.
     #[test]
-    fn fewer_symbols_hold_the_same_members(
+    fn order_reduction_keeps_all_members(
         decay in 0.9..1.1_f64,
         noise in prop::collection::vec(prop::array::uniform6(-1e-4..1e-4_f64), MAX_SYMBOLS + 10),
         along in prop::array::uniform6(-1.0..1.0_f64), is_followed: bool,
@@ -83,7 +83,7 @@ proptest! {
 
     /// Checks moving and standing sets against the module's formulas, and that each member is in one of them.
     #[test]
-    fn after_a_decision_members_are_where_the_closed_forms_say(
+    fn positions_after_a_decision_equal_the_closed_form(
         v0 in 0.0..6.0_f64, u0 in -9.0..4.0_f64, widths in prop::array::uniform2(0.01..2.0_f64), every in 1..8_u32,
         places in prop::collection::vec(prop::array::uniform2(0.0..=1.0_f64), 8),
     ) {
@@ -121,7 +121,7 @@ proptest! {
     }
 
     #[test]
-    fn within_a_decision_members_are_where_the_closed_forms_say(
+    fn positions_between_decisions_equal_the_closed_form(
         v0 in 0.1..6.0_f64, u0 in -9.0..4.0_f64, widths in prop::array::uniform2(0.01..2.0_f64), steps in 1..20_u32,
     ) {
         let [v1, u1] = [v0 + widths[0], u0 + widths[1]];
@@ -145,13 +145,13 @@ proptest! {
         let size = |vector: &Generator| vector.iter().map(|number| number.abs()).sum::<f64>();
         let share = size(&p) / (size(&p) + size(&q));
         let cost: f64 = p.iter().zip(q).map(|(p, q)| 2.0 * (p - share * (p + q)).abs()).sum();
-        let found = GeneratorPair::new(&p, &q).cost();
-        prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= found && found <= cost + 1e-13, "{found} {cost}");
+        let actual = GeneratorPair::new(&p, &q).cost();
+        prop_assert!(cost * (1.0 - 1e-12) - 1e-13 <= actual && actual <= cost + 1e-13, "{actual} {cost}");
     }
 
     /// Symbols in proportion merge at no cost, for any sign, in the ego, the follower or both.
     #[test]
-    fn symbols_in_the_same_proportion_become_one_for_nothing(
+    fn proportional_symbols_merge_without_excess(
         factors in prop::collection::vec(prop_oneof![-3.0..-0.3_f64, 0.3..3.0_f64], 85),
         along in prop::array::uniform6(-1.0..1.0_f64), seed in 0..85_usize,
     ) {
@@ -211,7 +211,7 @@ fn a_standing_vehicle_stays_or_restarts() {
 }
 
 #[test]
-fn nothing_has_moved_at_the_decision() {
+fn a_vehicle_has_not_moved_at_the_decision() {
     let mut members = egos_at_speed(symbol_form(0, 3.0, 4.0));
     members.ego.acceleration = point_form(2.0);
     let seen = members.ego_after(&point_form(-1.0), Interval::point(0.1), 0);
@@ -221,7 +221,7 @@ fn nothing_has_moved_at_the_decision() {
 }
 
 #[test]
-fn a_set_that_has_stopped_is_no_set_that_moves() {
+fn a_stopped_set_has_no_moving_members() {
     let step = Interval::point(0.1);
     let kinds = |speed: AffineForm, wanted: AffineForm| {
         egos_at_speed(speed)
@@ -244,7 +244,7 @@ fn a_set_that_has_stopped_is_no_set_that_moves() {
 }
 
 #[test]
-fn symbols_become_fewer_once_they_are_too_many() {
+fn the_number_of_symbols_is_limited() {
     for (count, expected) in [
         (MAX_SYMBOLS, MAX_SYMBOLS),
         (MAX_SYMBOLS + 1, REDUCED_SYMBOLS),
@@ -271,7 +271,7 @@ fn symbols_become_fewer_once_they_are_too_many() {
 
 /// The first distance or speed that is not 0 becomes positive.
 #[test]
-fn a_symbol_and_its_negative_are_one() {
+fn opposite_generators_are_normalised_to_one() {
     let cases = [
         [1.0, -2.0, 3.0, -4.0, 5.0, -6.0],
         [0.0, 2.0, -3.0, -4.0, 5.0, -6.0],
@@ -288,7 +288,7 @@ fn a_symbol_and_its_negative_are_one() {
 }
 
 #[test]
-fn a_direction_is_the_share_of_the_speed() {
+fn the_direction_key_is_the_share_of_the_speed() {
     for (vector, expected) in [
         ([1.0, 0.0, 9.0, 9.0, 9.0, 9.0], 0.0),
         ([3.0, 1.0, 9.0, 9.0, 9.0, 9.0], 0.25),

@@ -171,7 +171,7 @@ proptest! {
 
     /// The `idm` enclosure of a box of inputs is the narrower of form and interval, and a form keeps its symbols.
     #[test]
-    fn of_a_form_and_plain_numbers_the_narrower_counts(
+    fn idm_returns_the_narrower_of_form_and_interval(
         low in 0.02..30.0_f64, widths in prop::array::uniform3(prop_oneof![0.01..0.3_f64, 0.3..8.0_f64]),
         v in 0.5..25.0_f64, w in 0.0..25.0_f64, places in prop::array::uniform3(0.0..=1.0_f64),
     ) {
@@ -181,19 +181,19 @@ proptest! {
         let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
         let forms: Vec<_> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
         let seen = law_input(forms[0].clone(), forms[1].clone(), &forms[2]);
-        let found = behind.acceleration(&seen);
+        let actual = behind.acceleration(&seen);
         let wanted = IDM.desired_acceleration(&seen, &behind.brake);
         let form = clamp_to_limits(&wanted, &behind.brake, IDM.max_accel_mps2).range();
         let plain = plain_of(&IDM, &seen).max(Interval::point(-8.0)).min(Interval::point(3.0));
         let width = |range: Interval| range.high() - range.low();
         let narrower = width(form).min(width(plain));
-        prop_assert!(width(found.range()) <= narrower * (1.0 + 1e-9) + 1e-9, "{found:?} {form:?} {plain:?}");
+        prop_assert!(width(actual.range()) <= narrower * (1.0 + 1e-9) + 1e-9, "{actual:?} {form:?} {plain:?}");
         if width(form) < 0.999 * width(plain) {
-            prop_assert!(found.terms().iter().any(|&term| term != 0.0), "{found:?} {plain:?}");
+            prop_assert!(actual.terms().iter().any(|&term| term != 0.0), "{actual:?} {plain:?}");
         }
         let at: Vec<f64> = ends.iter().zip(places).map(|([low, high], place)| low + place * (high - low)).collect();
         let true_one = idm_acceleration(&IDM, [at[0], at[1], at[2]]).0.clamp(-8.0, 3.0);
-        let range = found.range();
+        let range = actual.range();
         prop_assert!(range.low() <= true_one + 1e-9 && true_one - 1e-9 <= range.high(), "{true_one} {range:?}");
     }
 
@@ -208,8 +208,8 @@ proptest! {
         let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { acc_acceleration(&law, [gap, v, w]) };
         let expected = wanted.max(-8.0).min(law.max_accel_mps2);
         let (law, start_gap) = (FollowerLaw::AccAeb(law), AffineForm::default());
-        let found = law_follower(&law, point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
-        assert_bounds(found.range(), [expected; 2], 1e-12 * 200.0);
+        let actual = law_follower(&law, point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
+        assert_bounds(actual.range(), [expected; 2], 1e-12 * 200.0);
         let observed = [gap, v, w].map(point_form);
         let range = law.command_range(&observed, interval(-8.0, 9.0));
         assert_bounds(range.max(Interval::point(-8.0)), [expected; 2], 1e-12 * 200.0);
@@ -229,7 +229,7 @@ proptest! {
 
 /// A gap that may be below a centimetre gives the range from full braking to A.
 #[test]
-fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
+fn idm_is_unbounded_where_the_gap_may_be_zero() {
     let brake = symbol_form(6, BRAKE[0], BRAKE[1]);
     for low in [-1.0, 0.0, 0.01] {
         let seen = law_input(
@@ -247,7 +247,7 @@ fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
 
 /// If the emergency brake may fire, the range is from full braking to the command without it.
 #[test]
-fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
+fn where_the_emergency_brake_may_fire_any_braking_is_possible() {
     let (law, start_gap) = (
         FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }),
         AffineForm::default(),
@@ -282,7 +282,7 @@ fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
 
 /// A vehicle that may have stopped may have held no acceleration; a standing one does not reverse.
 #[test]
-fn an_observed_acceleration_is_one_that_may_be_held() {
+fn the_observed_acceleration_contains_every_possible_one() {
     let step = Interval::point(0.1);
     let at = |speed: AffineForm| VehicleState {
         speed,
@@ -336,7 +336,8 @@ fn a_step_of_a_modelled_follower_is_the_closed_form() {
         ..VehicleState::default()
     };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
-    let (later, asked) = behind.advance(&own, &ego);
+    let asked = behind.acceleration_behind(&ego, &own);
+    let later = behind.advance(&own, &asked);
     let u = acc_acceleration(&ACC, [22.0, 15.0, 14.0]);
     assert_bounds(asked.range(), [u; 2], 1e-8);
     assert_bounds(later.distance.range(), [7.0 + 1.5 + 0.005 * u; 2], 1e-8);
@@ -450,7 +451,7 @@ fn a_follower_model_is_printed_with_all_numbers() {
 }
 
 #[test]
-fn on_an_open_road_only_the_fourth_power_remains() {
+fn idm_on_an_open_road_has_only_the_speed_term() {
     let seen = LawInput::new(point_form(1e9), point_form(6.0), point_form(6.0));
     let wanted = IDM.desired_acceleration(&seen, &point_form(8.0)).range();
     assert_bounds(

@@ -53,7 +53,7 @@ proptest! {
     /// Checks that speed and distance have exactly the module's bounds, cut at standstill and at the shortest stopping
     /// distance.
     #[test]
-    fn a_leader_within_a_limit_is_where_the_forms_say(
+    fn forms_contain_every_leader_within_the_limit(
         v0 in 0.5..30.0_f64, width in 0.1..5.0_f64, b in 0.5..9.0_f64, every in 1..8_u32, decisions in 1..12_u32,
         at in 0..110_u32,
     ) {
@@ -110,7 +110,7 @@ fn a_leader_that_stands_stays() {
 
 /// Blocks limit the number of symbols; inside one the acceleration is arbitrary.
 #[test]
-fn many_decisions_share_symbols() {
+fn blocks_limit_the_number_of_symbols() {
     for (decisions, blocks) in [(200, 200), (201, 101), (400, 200), (401, 134)] {
         assert_eq!(
             leader([10.0, 11.0], 6.0, 3 * decisions, 3).symbol_count(),

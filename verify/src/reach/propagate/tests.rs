@@ -68,7 +68,7 @@ fn moving_members_are_propagated() {
 
 /// Checks that a long standstill costs no more than a short one, and that observations stay constant after two steps.
 #[test]
-fn once_all_stand_nothing_is_left_to_do() {
+fn propagation_ends_once_all_vehicles_stand() {
     let controller = constant_controller(-1.0);
     let stands = default_problem(
         &controller,
@@ -90,7 +90,7 @@ fn once_all_stand_nothing_is_left_to_do() {
 }
 
 #[test]
-fn an_instant_has_a_symbol_of_its_own() {
+fn the_firing_instant_has_its_own_symbol() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = ReachProblem {
         follower: LATCHED,
@@ -176,26 +176,41 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     assert_eq!(firing([8.1, 9.0], [10.0; 2], 0.0), None);
     assert_eq!(
         firing([7.9, 9.0], [10.0; 2], 0.0),
-        Some(([8.0, 11.0], false))
+        Some(Firing {
+            instants: [8.0, 11.0],
+            is_certain: false
+        })
     );
     assert_eq!(firing([0.0, 0.0], [0.0; 2], 0.0), None);
     // Both stand at a gap of 0 or less.
     assert_eq!(
         firing([0.0, 1.0], [0.0; 2], 0.0),
-        Some(([8.0, 11.0], false))
+        Some(Firing {
+            instants: [8.0, 11.0],
+            is_certain: false
+        })
     );
     assert_eq!(
         firing([-1.0, -0.5], [0.0; 2], 0.0),
-        Some(([8.0, 8.0], true))
+        Some(Firing {
+            instants: [8.0, 8.0],
+            is_certain: true
+        })
     );
     // The ego brakes at 1 m/s² from 10 m/s, and the guard falls by 0.2 m/s and more: at 8.1 m it is 0.1 m at first.
     assert_eq!(
         firing([8.1, 8.1], [10.0; 2], -1.0),
-        Some(([9.0, 9.0], true))
+        Some(Firing {
+            instants: [9.0, 9.0],
+            is_certain: true
+        })
     );
     assert_eq!(
         firing([8.1, 9.9], [10.0; 2], -1.0),
-        Some(([9.0, 11.0], false))
+        Some(Firing {
+            instants: [9.0, 11.0],
+            is_certain: false
+        })
     );
 }
 
@@ -223,7 +238,10 @@ fn the_gap_to_a_modelled_follower_is_bounded_in_each_step() {
             .unwrap()
     };
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
-        let (follower, least_m) = follow(mps2);
+        let DrivenFollower {
+            state: follower,
+            min_gap_m: least_m,
+        } = follow(mps2);
         let gap = 10.0 - 5.0 * 0.3 + 0.5 * (mps2 + 6.0) * 0.09;
         assert!(
             (least_m - (gap - m * 0.01 / 8.0)).abs() < 1e-10,
@@ -273,8 +291,8 @@ fn gaps_are_bounded_between_decisions() {
         let acts = AffineForm::constant(Interval::new(acts[0], acts[1]).unwrap());
         assert!(!analysis.record_gaps(0, &before, &now, &acts, Some(&follower), None));
         let expected = [6.0 - ahead * 0.02, 4.0 - behind * 0.02];
-        for (found, expected) in analysis.result.gaps_m.into_iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        for (actual, expected) in analysis.result.gaps_m.into_iter().zip(expected) {
+            assert!((actual - expected).abs() < 1e-12, "{actual} {expected}");
         }
         assert_eq!(analysis.result.undecided, None);
     }
@@ -282,7 +300,7 @@ fn gaps_are_bounded_between_decisions() {
 
 /// A gap of exactly 0 is undecided, no sure collision.
 #[test]
-fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
+fn a_gap_of_zero_is_undecided_and_no_certain_collision() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = default_problem(&controller, point_box([0.0; 8]));
     let mut analysis = ReachAnalysis::new(&scene, &work, None);
@@ -304,7 +322,7 @@ fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
 }
 
 #[test]
-fn too_many_windows_are_given_up() {
+fn too_many_windows_are_undecided() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     for (counts, goes_on) in [
         (&[MAX_WINDOWS][..], true),

@@ -2,7 +2,7 @@ use super::super::fixtures::{interval, point_box};
 use super::*;
 
 #[test]
-fn a_range_is_cut_at_a_number_in_between_or_not_at_all() {
+fn a_range_is_bisected_at_an_inner_number_or_not_at_all() {
     let one = 1.0_f64;
     let next = [one.next_up(), one.next_up().next_up()];
     for dimension in BoxDimension::ALL {

@@ -17,8 +17,8 @@ fn slope_and_offset(f: impl Fn(&AffineForm) -> AffineForm, low: f64, high: f64) 
     (slope, [line.centre() - slope * x.centre(), line.rest()])
 }
 
-fn is_near(found: f64, expected: f64, within: f64) -> bool {
-    (found - expected).abs() <= within
+fn is_near(actual: f64, expected: f64, within: f64) -> bool {
+    (actual - expected).abs() <= within
 }
 
 /// Returns the least and largest f(x) - s x at the ends and at places between them.
@@ -42,7 +42,8 @@ proptest! {
     /// Checks in rational arithmetic that the excess covers both ends tightly, however different they are.
     #[test]
     fn a_rectifier_exceeds_its_chord_by_the_stated_amount(below in any_magnitude(), high in any_magnitude()) {
-        let (slope, excess) = relu_relaxation(-below, high);
+        let slope = relu_slope(-below, high);
+        let excess = relu_excess(slope, -below, high);
         let (s, m) = (rational(slope), rational(excess));
         let at_ends = [&s * rational(below), (rational(1.0) - &s) * rational(high)];
         for end in &at_ends {
@@ -86,7 +87,7 @@ proptest! {
         width in prop_oneof![0.01..8.0_f64, 0.01..60.0_f64],
     ) {
         let high = low + width;
-        let (slope, off) = tanh_relaxation(low, high);
+        let LinearBound { slope, deviation: off } = tanh_relaxation(low, high);
         let chord = (high.tanh() - low.tanh()) / width;
         let turn = (1.0 - chord).sqrt().atanh();
         let [least, most] = extremes(f64::tanh, chord, [low, high], &[-turn, turn]);
@@ -107,7 +108,7 @@ proptest! {
         low in -6.0..-0.01_f64, width in 0.01..8.0_f64,
     ) {
         let high = low + width;
-        let (slope, off) = elu_relaxation(alpha, low, high);
+        let LinearBound { slope, deviation: off } = elu_relaxation(alpha, low, high);
         let value = |x: f64| if x < 0.0 { alpha * x.exp_m1() } else { x };
         let is_convex = (0.0..=1.0).contains(&alpha);
         let chord = if is_convex { (value(high) - value(low)) / width } else { 0.0 };
@@ -129,7 +130,7 @@ proptest! {
 }
 
 #[test]
-fn far_out_a_function_is_its_limit() {
+fn functions_reach_their_limits_far_from_zero() {
     let one = Interval::new((1.0 - f64::EPSILON).next_down(), 1.0).unwrap();
     for z in [20.5, 400.0, 1e300] {
         assert_eq!((tanh(z), tanh(-z)), (one, -one));
@@ -138,10 +139,16 @@ fn far_out_a_function_is_its_limit() {
     assert!(
         exp(-40.0).low() > 0.0 && exp(-50.0).low() == 0.0 && exp(-50.0).high() == exp(-40.0).high()
     );
-    let everything = (0.0, Interval::ENTIRE);
+    let everything = LinearBound {
+        slope: 0.0,
+        deviation: Interval::ENTIRE,
+    };
     assert_eq!(elu_relaxation(0.5, -1.0, f64::INFINITY), everything);
     assert_eq!(elu_relaxation(0.5, f64::NEG_INFINITY, 1.0), everything);
-    let within_one = (0.0, Interval::around_zero(1.0));
+    let within_one = LinearBound {
+        slope: 0.0,
+        deviation: Interval::around_zero(1.0),
+    };
     assert_eq!(tanh_relaxation(-1.0, f64::INFINITY), within_one);
     assert_eq!(tanh_relaxation(f64::NEG_INFINITY, 1.0), within_one);
 }

@@ -26,13 +26,13 @@ proptest! {
 
     #[test]
     fn shares_add_up_to_the_nearest_number_below(a in any_share(), b in any_share()) {
-        let (sum, found) = (rational(a) + rational(b), add_shares(a, b));
-        prop_assert!(rational(found) <= sum && sum < rational(found.next_up()), "{a} + {b}: {found}");
+        let (sum, actual) = (rational(a) + rational(b), add_shares(a, b));
+        prop_assert!(rational(actual) <= sum && sum < rational(actual.next_up()), "{a} + {b}: {actual}");
     }
 
     /// An exact half has half of the share, even if its width is no floating-point number.
     #[test]
-    fn an_exact_half_has_half_of_the_share(
+    fn an_exact_half_has_half_the_share(
         a in -2.0..2.0_f64, b in -2.0..2.0_f64, places in 30..52_i32, share in any_share(),
     ) {
         // On a grid with an exact middle; some widths need more digits than a number has.
@@ -43,12 +43,12 @@ proptest! {
         for [low, high] in [[low, high], [below, high], [low, above], [below, above]] {
             let (middle, whole) = (0.5 * low + 0.5 * high, interval(low, high));
             for part in [interval(low, middle), interval(middle, high)] {
-                let (found, expected) = (part_share(share, part, whole), rational(share) * size(part) / size(whole));
-                prop_assert!(rational(found) <= expected);
+                let (actual, expected) = (part_share(share, part, whole), rational(share) * size(part) / size(whole));
+                prop_assert!(rational(actual) <= expected);
                 if size(part) + size(part) == size(whole) {
-                    prop_assert_eq!(found, 0.5 * share);
+                    prop_assert_eq!(actual, 0.5 * share);
                 } else {
-                    prop_assert!(rational(found) >= expected * rational(1.0 - 1e-14), "{} of {:?}", found, whole);
+                    prop_assert!(rational(actual) >= expected * rational(1.0 - 1e-14), "{} of {:?}", actual, whole);
                 }
             }
         }
@@ -57,7 +57,7 @@ proptest! {
 
 /// With one number in between, the middle is exact; with two, it is not.
 #[test]
-fn a_part_of_a_few_numbers_has_the_share_that_it_has() {
+fn the_share_of_a_range_of_few_numbers_is_exact() {
     let numbers: Vec<f64> = std::iter::successors(Some(1.0_f64), |number| Some(number.next_up()))
         .take(4)
         .collect();

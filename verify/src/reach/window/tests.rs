@@ -38,7 +38,7 @@ fn merged_spans(step_s: f64, every: u32, ks: impl Iterator<Item = u32>) -> Vec<(
 
 /// Checks the length of merged windows of D steps, at most a tenth of a second.
 #[test]
-fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second() {
+fn merged_windows_are_few_and_at_most_a_tenth_of_a_second_long() {
     let cases = [
         (0.01, 1, 10, 1),
         (0.01, 1, 11, 2),
@@ -55,7 +55,7 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
         (0.3, 1, 300, 1),
     ];
     for (step_s, every, count, length) in cases {
-        let found = merged_spans(step_s, every, (0..count).map(|i| 7 + i * every));
+        let actual = merged_spans(step_s, every, (0..count).map(|i| 7 + i * every));
         let end = 7 + count * every;
         let expected: Vec<(u32, [f64; 2])> = (7..end)
             .step_by(length)
@@ -66,7 +66,7 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
                 )
             })
             .collect();
-        assert_eq!(found, expected, "{step_s} {every} {count}");
+        assert_eq!(actual, expected, "{step_s} {every} {count}");
     }
 }
 
@@ -74,11 +74,11 @@ fn windows_are_as_long_as_makes_them_few_and_no_longer_than_a_tenth_of_a_second(
 #[test]
 fn a_pause_ends_a_window_if_it_is_long() {
     let ks = [0, 1, 4, 5, 6, 7, 20, 22, 23, 24, 25].into_iter();
-    let found: Vec<u32> = merged_spans(0.01, 1, ks)
+    let actual: Vec<u32> = merged_spans(0.01, 1, ks)
         .into_iter()
         .map(|(k, _)| k)
         .collect();
-    assert_eq!(found, [0, 4, 6, 20, 22, 24]);
+    assert_eq!(actual, [0, 4, 6, 20, 22, 24]);
 }
 
 proptest! {
@@ -91,10 +91,10 @@ proptest! {
         skipped in prop::collection::vec(0..3_u32, 1..120),
     ) {
         let ks: Vec<u32> = skipped.iter().scan(0, |k, skip| { *k += every * (1 + skip); Some(*k) }).collect();
-        let found = merged_spans(step_s, every, ks.iter().copied());
-        prop_assert!(found.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        let actual = merged_spans(step_s, every, ks.iter().copied());
+        prop_assert!(actual.windows(2).all(|pair| pair[0].0 < pair[1].0));
         for k in ks {
-            let (from, instants) = found.iter().rev().find(|(from, _)| *from <= k).unwrap();
+            let (from, instants) = actual.iter().rev().find(|(from, _)| *from <= k).unwrap();
             prop_assert!(instants[0] <= f64::from(k) && f64::from(k + every - 1) <= instants[1], "{from} {instants:?}");
         }
     }
@@ -102,7 +102,7 @@ proptest! {
 
 /// Moving members of a later interval moved before; others may have been in any mode.
 #[test]
-fn modes_of_later_firing_include_possible_earlier_modes() {
+fn later_firing_includes_the_possible_earlier_modes() {
     let controller = constant_controller(0.0);
     let scene = ReachProblem {
         step_s: 0.01,

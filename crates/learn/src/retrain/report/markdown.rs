@@ -7,8 +7,9 @@ use super::super::acceptance::{
 };
 use super::super::plan::RetrainingSettings;
 use super::super::regression_spaces::SIGNIFICANCE;
+use super::super::round::Round;
 use super::super::search::RoundFindings;
-use super::super::test_set::{CONFIDENCE, PairedOutcomes};
+use super::super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes};
 use super::{FileHash, RetrainingEnding, RetrainingReport};
 use crate::rl::TrafficUsefulness;
 use crumple_core::digits::format_rounded;
@@ -32,20 +33,54 @@ impl RetrainingReport {
     }
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
+        self.write_settings(out)?;
+        out.push_str("## Test set\n\n");
+        self.write_test_set(out)?;
+        out.push_str("\n## Rounds\n\n");
+        self.write_rounds(out);
+        let validation_draws = self.settings.validation_draws;
+        let nominal = self.settings.nominal;
+        let each = if self.has_one_space() { "the" } else { "each" };
+        writeln!(
+            out,
+            "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
+             are all avoidable scenarios collected up to the round. The *validation set* has {validation_draws} \
+             avoidable random scenarios of {each} space. *paper-1..3* are the paper's scenarios, each through the \
+             filter and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A \
+             round is accepted if there is no new failure in *paper-1..3* and *paper's distribution*, no more \
+             collisions in the validation set, fewer there or in the cases, no worse usability, and the candidate is \
+             not significantly worse in any regression space.\n"
+        )?;
+        self.write_regression(out)?;
+        out.push_str("## Files\n\n");
+        let files = self.files.iter();
+        let rows =
+            files.map(|FileHash { file, sha256 }| vec![format!("`{file}`"), format!("`{sha256}`")]);
+        write_table(out, &["file", "SHA-256"], rows);
+        writeln!(
+            out,
+            "\nFirst policy: `{}`. Plan: `{}`.",
+            self.first_sha256, self.plan_sha256
+        )
+    }
+
+    fn has_one_space(&self) -> bool {
+        !self.space.contains(", ")
+    }
+
+    /// Writes the heading and a paragraph about the settings.
+    fn write_settings(&self, out: &mut String) -> std::fmt::Result {
         let RetrainingSettings {
             rounds,
             episodes,
             budget,
             draws,
-            validation_draws,
-            nominal,
             ..
         } = self.settings;
-        let is_one = !self.space.contains(", ");
-        let (spaces, each) = if is_one {
-            ("the space", "the")
+        let spaces = if self.has_one_space() {
+            "the space"
         } else {
-            ("the spaces", "each")
+            "the spaces"
         };
         writeln!(
             out,
@@ -78,31 +113,6 @@ impl RetrainingReport {
             100.0 * self.settings.case_share,
             self.method,
             self.ending_sentence()
-        )?;
-        out.push_str("## Test set\n\n");
-        self.write_test_set(out)?;
-        out.push_str("\n## Rounds\n\n");
-        self.write_rounds(out);
-        writeln!(
-            out,
-            "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
-             are all avoidable scenarios collected up to the round. The *validation set* has {validation_draws} \
-             avoidable random scenarios of {each} space. *paper-1..3* are the paper's scenarios, each through the \
-             filter and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A \
-             round is accepted if there is no new failure in *paper-1..3* and *paper's distribution*, no more \
-             collisions in the validation set, fewer there or in the cases, no worse usability, and the candidate is \
-             not significantly worse in any regression space.\n"
-        )?;
-        self.write_regression(out)?;
-        out.push_str("## Files\n\n");
-        let files = self.files.iter();
-        let rows =
-            files.map(|FileHash { file, sha256 }| vec![format!("`{file}`"), format!("`{sha256}`")]);
-        write_table(out, &["file", "SHA-256"], rows);
-        writeln!(
-            out,
-            "\nFirst policy: `{}`. Plan: `{}`.",
-            self.first_sha256, self.plan_sha256
         )
     }
 
@@ -114,12 +124,12 @@ impl RetrainingReport {
             .iter()
             .filter(|round| round.acceptance.is_accepted())
             .count();
-        let made = format!("{} made, {accepted} accepted", self.rounds.len());
+        let counts = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
-            RetrainingEnding::RoundsExhausted => format!("It ended with its last round: {made}."),
+            RetrainingEnding::RoundsExhausted => format!("It ended with its last round: {counts}."),
             RetrainingEnding::NothingFound { search } => format!(
                 "It ended because a search of {} evaluations and {} random scenarios found no avoidable collision: \
-                 {made}.",
+                 {counts}.",
                 search.evaluations, search.draws
             ),
         }
@@ -135,18 +145,7 @@ impl RetrainingReport {
             "rate",
             &format!("exact {:.0} % interval", 100.0 * CONFIDENCE),
         ];
-        let rows = self.tallies.iter().map(|tally| {
-            let RateInterval { lower, upper } = tally.interval(runs);
-            let rate = tally.contacts as f64 / runs.max(1) as f64;
-            vec![
-                tally.controller.clone(),
-                tally.contacts.to_string(),
-                tally.into_the_leader.to_string(),
-                (tally.contacts - tally.into_the_leader).to_string(),
-                format!("{:.3} %", 100.0 * rate),
-                format!("{:.3} to {:.3} %", 100.0 * lower, 100.0 * upper),
-            ]
-        });
+        let rows = self.tallies.iter().map(|tally| tally_row(tally, runs));
         write_table(out, &header, rows);
         let PairedOutcomes {
             both,
@@ -188,42 +187,25 @@ impl RetrainingReport {
         )?;
         let first = self.first_results.regression.iter();
         let pairs = first.zip(&self.retrained_results.regression);
-        let rows = pairs.map(|(was, is)| {
-            let drives = was.not_useful.as_ref().zip(is.not_useful.as_ref());
+        let rows = pairs.map(|(first, retrained)| {
+            let drives = first.not_useful.as_ref().zip(retrained.not_useful.as_ref());
             vec![
-                is.space.clone(),
-                is.sample_count.to_string(),
-                describe_change(&was.contacts, &is.contacts),
-                drives.map_or("–".to_owned(), |(was, is)| describe_change(was, is)),
+                retrained.space.clone(),
+                retrained.sample_count.to_string(),
+                describe_change(&first.contacts, &retrained.contacts),
+                drives.map_or("–".to_owned(), |(first, retrained)| {
+                    describe_change(first, retrained)
+                }),
             ]
         });
         let header = ["space", "random scenarios", "collisions", "not useful"];
         write_table(out, &header, rows);
         out.push('\n');
-        let (Some(was), Some(is)) = (
-            &self.first_results.usefulness,
-            &self.retrained_results.usefulness,
-        ) else {
-            return Ok(());
-        };
-        let values = traffic_measures(was).into_iter().zip(traffic_measures(is));
-        let measured = TRAFFIC_MEASURES
-            .into_iter()
-            .zip(values)
-            .map(|(name, (was, is))| {
-                let [was, is] = [was, is].map(|value| to_thousandths(value).to_string());
-                vec![name.to_owned(), was, is]
-            });
-        let gain = |found: &TrafficUsefulness| {
-            found
-                .line_gain
-                .map_or("–".to_owned(), |gain| format!("{gain:.2}"))
-        };
-        let gains = vec!["gain of a line of five".to_owned(), gain(was), gain(is)];
-        let drives = format!("in {} drives of everyday traffic", is.scenario_count);
-        let rows = measured.chain(std::iter::once(gains));
-        write_table(out, &[&drives, "first", "retrained"], rows);
-        out.push('\n');
+        if let Some(first) = &self.first_results.usefulness
+            && let Some(retrained) = &self.retrained_results.usefulness
+        {
+            write_traffic_measures(out, first, retrained);
+        }
         Ok(())
     }
 
@@ -239,40 +221,90 @@ impl RetrainingReport {
             "paper's distribution",
             "acceptance",
         ];
-        let rows = self.rounds.iter().map(|round| {
-            let RoundFindings {
-                avoidable,
-                unavoidable,
-                undecided,
-                colliding_draws,
-                avoidable_draws,
-                ..
-            } = &round.findings;
-            let distinct = avoidable + unavoidable + undecided;
-            // An imitation has a single checkpoint.
-            let episodes = match round.training.to_episode {
-                0 => "–".to_owned(),
-                last => format!("{last} ({})", round.training.best_episode),
-            };
-            vec![
-                round.round.to_string(),
-                format!("{distinct} ({avoidable}, {unavoidable}, {undecided})"),
-                format!("{colliding_draws} ({})", avoidable_draws.indices.len()),
-                episodes,
-                round.in_cases.to_string(),
-                round.in_validation_set.to_string(),
-                round.in_paper.to_string(),
-                round.in_nominal.to_string(),
-                round.acceptance.to_string(),
-            ]
-        });
-        write_table(out, &header, rows);
+        write_table(out, &header, self.rounds.iter().map(round_row));
     }
 }
 
-fn describe_change(was: &[u64], is: &[u64]) -> String {
-    let change = FailureChange::between(was, is);
-    format!("{change} (p = {:.2})", discordant_pairs(was, is).p_value())
+/// Returns the row of a round.
+fn round_row(round: &Round) -> Vec<String> {
+    let RoundFindings {
+        avoidable,
+        unavoidable,
+        undecided,
+        colliding_draws,
+        avoidable_draws,
+        ..
+    } = &round.findings;
+    let distinct = avoidable + unavoidable + undecided;
+    // An imitation has a single checkpoint.
+    let episodes = match round.training.to_episode {
+        0 => "–".to_owned(),
+        last => format!("{last} ({})", round.training.best_episode),
+    };
+    vec![
+        round.round.to_string(),
+        format!("{distinct} ({avoidable}, {unavoidable}, {undecided})"),
+        format!("{colliding_draws} ({})", avoidable_draws.indices.len()),
+        episodes,
+        round.in_cases.to_string(),
+        round.in_validation_set.to_string(),
+        round.in_paper.to_string(),
+        round.in_nominal.to_string(),
+        round.acceptance.to_string(),
+    ]
+}
+
+/// Returns the row of a controller in a test set of `runs` scenarios.
+fn tally_row(tally: &ControllerTally, runs: u64) -> Vec<String> {
+    let RateInterval { lower, upper } = tally.interval(runs);
+    let rate = tally.contacts as f64 / runs.max(1) as f64;
+    vec![
+        tally.controller.clone(),
+        tally.contacts.to_string(),
+        tally.into_the_leader.to_string(),
+        (tally.contacts - tally.into_the_leader).to_string(),
+        format!("{:.3} %", 100.0 * rate),
+        format!("{:.3} to {:.3} %", 100.0 * lower, 100.0 * upper),
+    ]
+}
+
+/// Writes the measures of everyday traffic of both policies.
+fn write_traffic_measures(
+    out: &mut String,
+    first: &TrafficUsefulness,
+    retrained: &TrafficUsefulness,
+) {
+    let values = traffic_measures(first)
+        .into_iter()
+        .zip(traffic_measures(retrained));
+    let measured = TRAFFIC_MEASURES
+        .into_iter()
+        .zip(values)
+        .map(|(name, (first, retrained))| {
+            let [first, retrained] =
+                [first, retrained].map(|value| to_thousandths(value).to_string());
+            vec![name.to_owned(), first, retrained]
+        });
+    let [first_gain, retrained_gain] = [first, retrained].map(|usefulness| {
+        usefulness
+            .line_gain
+            .map_or("–".to_owned(), |gain| format!("{gain:.2}"))
+    });
+    let gains = vec![
+        "gain of a line of five".to_owned(),
+        first_gain,
+        retrained_gain,
+    ];
+    let drives = format!("in {} drives of everyday traffic", retrained.scenario_count);
+    let rows = measured.chain(std::iter::once(gains));
+    write_table(out, &[&drives, "first", "retrained"], rows);
+    out.push('\n');
+}
+
+fn describe_change(before: &[u64], after: &[u64]) -> String {
+    let change = FailureChange::between(before, after);
+    let p_value = discordant_pairs(before, after).p_value();
+    format!("{change} (p = {p_value:.2})")
 }
 
 fn write_table(out: &mut String, header: &[&str], rows: impl Iterator<Item = Vec<String>>) {

@@ -25,7 +25,7 @@ fn config() -> EnvironmentConfig {
 }
 
 #[test]
-fn a_safe_episode_is_worth_22_500_and_standing_is_credited() {
+fn a_safe_episode_returns_22_500_and_credits_standstill() {
     // At -2.9 m/s² the ego vehicle, and then its follower by emergency braking, stops without a collision.
     let action = (-2.9 + 2.25) / 5.25;
     let (total, all) = drive_paper_2(&config(), action as f32);
@@ -70,7 +70,7 @@ fn a_contact_costs_its_harm_in_addition() {
 }
 
 #[test]
-fn a_contact_costs_3000_and_ends_everything() {
+fn a_collision_costs_3000_and_ends_the_episode() {
     let (total, all) = drive_paper_2(&config(), 1.0);
     let last = all.last().unwrap();
     assert_eq!(

@@ -30,32 +30,36 @@ fn leaf_values(text: &str) -> Vec<(String, Range<usize>)> {
     fn collect_value<'t>(
         path: &str,
         value: &Spanned<DeValue<'t>>,
-        found: &mut Vec<(String, Range<usize>)>,
+        fields: &mut Vec<(String, Range<usize>)>,
     ) {
         match value.get_ref() {
-            DeValue::Table(table) => collect_table(path, table, found),
+            DeValue::Table(table) => collect_table(path, table, fields),
             DeValue::Array(list) => {
                 let values = list.iter().enumerate();
                 values.for_each(|(index, value)| {
-                    collect_value(&format!("{path}[{index}]"), value, found)
+                    collect_value(&format!("{path}[{index}]"), value, fields)
                 });
             }
-            _ => found.push((path.to_owned(), value.span())),
+            _ => fields.push((path.to_owned(), value.span())),
         }
     }
-    fn collect_table<'t>(path: &str, table: &DeTable<'t>, found: &mut Vec<(String, Range<usize>)>) {
+    fn collect_table<'t>(
+        path: &str,
+        table: &DeTable<'t>,
+        fields: &mut Vec<(String, Range<usize>)>,
+    ) {
         let dot = if path.is_empty() { "" } else { "." };
         table.iter().for_each(|(name, value)| {
-            collect_value(&format!("{path}{dot}{}", name.get_ref()), value, found)
+            collect_value(&format!("{path}{dot}{}", name.get_ref()), value, fields)
         });
     }
-    let mut found = Vec::new();
+    let mut fields = Vec::new();
     collect_table(
         "",
         DeTable::parse(text).expect("a preset").get_ref(),
-        &mut found,
+        &mut fields,
     );
-    found
+    fields
 }
 
 fn line_number(text: &str, offset: usize) -> usize {

@@ -351,11 +351,14 @@ fn without_ranking_draws_nothing_is_mastered() {
     for (ranking_draws, contacts) in [(4, Some(0)), (0, None)] {
         config.evaluation.ranking_draws = ranking_draws;
         let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
-        let found = held_out
+        let evaluation = held_out
             .evaluate(&crumple_sim::policy::Policy::reference())
             .unwrap();
         assert_eq!(
-            (found.ranking_contacts, found.is_mastered(master_gap_m)),
+            (
+                evaluation.ranking_contacts,
+                evaluation.is_mastered(master_gap_m)
+            ),
             (contacts, contacts.is_some())
         );
     }

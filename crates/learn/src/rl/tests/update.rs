@@ -56,14 +56,14 @@ fn central_differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<
         .collect()
 }
 
-fn assert_close(found: &[f32], expected: &[f64], tolerance: f64) {
+fn assert_close(actual: &[f32], expected: &[f64], tolerance: f64) {
     let largest = expected
         .iter()
         .fold(0.0_f64, |largest, value| largest.max(value.abs()));
     assert!(largest > 1e-4, "nothing to compare");
-    for (index, (&found, &expected)) in found.iter().zip(expected).enumerate() {
-        let error = (f64::from(found) - expected).abs();
-        assert!(error <= tolerance * largest, "{index}: {found} {expected}");
+    for (index, (&actual, &expected)) in actual.iter().zip(expected).enumerate() {
+        let error = (f64::from(actual) - expected).abs();
+        assert!(error <= tolerance * largest, "{index}: {actual} {expected}");
     }
 }
 

@@ -31,20 +31,23 @@ impl<'s> EpisodeSetup<'s> {
     ) -> Result<Self, TrainingError> {
         let config = &trainer.config;
         let index = trainer.episode;
-        let stream = |purpose| random::stream(trainer.seed, purpose, index);
         let privileged = config.learning.privileged_critic.then(|| {
             let cost_multiplier = trainer.source.cost_multiplier(draws_seed, index);
             PrivilegedInfo::new(scenario, cost_multiplier)
         });
         Ok(Self {
             episode: start_episode(trainer, scenario, draws_seed)?,
-            exploration: Exploration::new(config, index, stream(Purpose::Exploration)),
+            exploration: Exploration::new(
+                config,
+                index,
+                random::stream(trainer.seed, Purpose::Exploration, index),
+            ),
             privileged: PrivilegedPair {
                 info: privileged,
                 numbers: Vec::new(),
             },
-            replay_draws: stream(Purpose::ReplaySampling),
-            target_noise: stream(Purpose::TargetNoise),
+            replay_draws: random::stream(trainer.seed, Purpose::ReplaySampling, index),
+            target_noise: random::stream(trainer.seed, Purpose::TargetNoise, index),
         })
     }
 }
@@ -83,7 +86,7 @@ enum ActionChoice {
         /// Number of decisions for which each action holds, and number of decisions until now.
         decisions_held: u64,
         decisions: u64,
-        held: f32,
+        held_action: f32,
     },
     /// The action of the actor with normal noise of this deviation.
     Actor { noise: f32 },
@@ -103,11 +106,11 @@ impl Exploration {
                 }
             }
             None => {
-                let held = exploration.random_hold_steps / config.environment.action_repeat;
+                let held_action = exploration.random_hold_steps / config.environment.action_repeat;
                 ActionChoice::Random {
-                    decisions_held: u64::from(held).max(1),
+                    decisions_held: u64::from(held_action).max(1),
                     decisions: 0,
-                    held: 0.0,
+                    held_action: 0.0,
                 }
             }
         };
@@ -124,13 +127,13 @@ impl Exploration {
             ActionChoice::Random {
                 decisions_held,
                 decisions,
-                held,
+                held_action,
             } => {
                 if decisions.is_multiple_of(*decisions_held) {
-                    *held = self.stream.random_range(-1.0..=1.0);
+                    *held_action = self.stream.random_range(-1.0..=1.0);
                 }
                 *decisions += 1;
-                *held
+                *held_action
             }
             ActionChoice::Actor { noise } => {
                 let normal: f32 = StandardNormal.sample(&mut self.stream);
