@@ -279,8 +279,8 @@ impl SpaceComparisonArgs {
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let arguments = SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
-        "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | \
-         progress | time gap s | imposed |"
+        "| space | controller | collisions | with the leader | hard | unnecessary | fell behind | rms a | rms jerk | \
+         progress | time gap s | induced |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mut front: Vec<ParetoPoint> = arguments.controllers.iter().map(ParetoPoint::new).collect();

@@ -61,17 +61,17 @@ impl Describe {
 
     /// Returns the error for a file that is not a network, with a note if crumple can drive with it directly.
     fn not_a_network_error(&self, error: &NetworkError) -> CliError {
-        let place = self.file.display();
+        let path = self.file.display();
         let names_no_network = !NetworkFile::is_network(&self.file);
         match file_kind::detect(&self.file) {
             Some(what) => {
-                CliError::Input(format!("{place}: is not an imported network, but {what}"))
+                CliError::Input(format!("{path}: is not an imported network, but {what}"))
             }
             None if names_no_network && is_controller(&self.file) => CliError::Input(format!(
-                "{place}: is not an imported network, but a controller: use it with --controller of other commands"
+                "{path}: is not an imported network, but a controller: use it with --controller of other commands"
             )),
             None if names_no_network => CliError::Input(format!(
-                "{place}: `describe` takes a network (.onnx, or .zip for a model of Stable-Baselines3) or an FMU (.fmu)"
+                "{path}: `describe` takes a network (.onnx, or .zip for a model of Stable-Baselines3) or an FMU (.fmu)"
             )),
             None if is_caused_by_environment(error) => CliError::Environment(error.to_string()),
             None => CliError::input(error),

@@ -135,7 +135,8 @@ const COMMANDS_0_3_0: [ExpectedOutput; 11] = [
     ),
     (
         "retrain --policy policy --space paper --preset retraining-preset.toml --rounds 1 --episodes 12 --method \
-         uniform --budget 5 --draws 5 --validation-draws 3 --nominal 3 --regression none --test-draws 3 --seed 3 --out retraining \
+         uniform --budget 5 --draws 5 --validation-draws 3 \
+         --nominal 3 --regression none --test-draws 3 --seed 3 --out retraining \
          --resume",
         0,
         "c168ff6345c2fe83665fc9b64051e0730571fd71b7cb696a7ca6bfe09ac3d98f",

@@ -20,8 +20,8 @@ impl Polynomial {
     /// Returns the three variables.
     #[must_use]
     pub fn variables() -> [Self; 3] {
-        let one = BigRational::from_integer(1.into());
-        [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|powers| Self::term(powers, one.clone()))
+        let unit = BigRational::from_integer(1.into());
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|powers| Self::term(powers, unit.clone()))
     }
 
     fn term(powers: [u8; 3], coefficient: BigRational) -> Self {

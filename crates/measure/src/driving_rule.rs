@@ -161,7 +161,8 @@ mod tests {
             let unnecessary = UnnecessaryBraking::from_trace(trace, &result.impacts, 1).unwrap();
             let margin = DrivingRule::NoUnnecessaryBraking.robustness(&scenario, &result).unwrap();
             prop_assert_eq!(margin < 0.0, !unnecessary.is_empty(), "{} {:?}", margin, unnecessary);
-            let induced = InducedBraking::from_trace(trace, &result.impacts, 1).and_then(|of| of.peak_brake_mps2);
+            let induced = InducedBraking::from_trace(trace, &result.impacts, 1);
+            let induced = induced.and_then(|braking| braking.peak_brake_mps2);
             let left = DrivingRule::InducedBraking { max_mps2: 4.0 }.robustness(&scenario, &result).unwrap();
             prop_assert_eq!(left < 0.0, induced.is_some_and(|peak| peak > 4.0));
         }

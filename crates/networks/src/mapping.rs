@@ -37,7 +37,7 @@ pub struct InputMapping {
     #[serde(default)]
     pub offset: f64,
     /// Divisor, in the unit of the quantity; not 0.
-    #[serde(default = "one")]
+    #[serde(default = "default_one")]
     pub scale: f64,
     /// Lower clipping limit.
     #[serde(default = "default_low")]
@@ -50,7 +50,7 @@ pub struct InputMapping {
     pub absent: Option<f64>,
 }
 
-fn one() -> f64 {
+fn default_one() -> f64 {
     1.0
 }
 
@@ -86,7 +86,7 @@ pub struct OutputMapping {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub squash: Option<Squash>,
     /// Factor, in m/s².
-    #[serde(default = "one")]
+    #[serde(default = "default_one")]
     pub scale_mps2: f64,
     /// Offset that is added, in m/s².
     #[serde(default)]

@@ -220,8 +220,8 @@ mod tests {
             ProcessProblem::WrongRequestId { found: 6, asked: 7 }
         );
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
-            let found = problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}"));
-            assert_eq!(found, ProcessProblem::NotFinite, "{line}");
+            let reason = problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}"));
+            assert_eq!(reason, ProcessProblem::NotFinite, "{line}");
         }
         for rest in [
             "",

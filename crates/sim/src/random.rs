@@ -283,9 +283,9 @@ mod tests {
         };
         let (mut one, many) = (noise(&shares), noise(&shares).normals::<32>());
         let mut plain = [3, 4].map(|seed| NoiseStream::new(seed, Purpose::AccelerationNoise, 1));
-        for found in many {
+        for stream in many {
             let [own, other] = plain.each_mut().map(NoiseStream::normal);
-            assert_eq!([found, found], [0.8 * own + 0.6 * other, one.normal()]);
+            assert_eq!([stream, stream], [0.8 * own + 0.6 * other, one.normal()]);
         }
         assert_eq!(
             noise(&[]).normals::<4>(),

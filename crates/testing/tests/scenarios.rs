@@ -22,7 +22,7 @@ fn shrunk(scenarios: &Scenarios, holds: impl Fn(&Scenario) -> bool) -> Scenario 
 fn scenarios_of_a_space_shrink_to_the_nominal_one_and_round_numbers() {
     let scenarios = Scenarios::space("high-risk").unwrap();
     let fast = |scenario: &Scenario| scenario.vehicles()[0].speed_mps > 31.3;
-    let found = shrunk(&scenarios, |scenario| !fast(scenario));
+    let smallest = shrunk(&scenarios, |scenario| !fast(scenario));
     let faster = |speed_mps| {
         scenarios.read(&[]).edited(|spec| {
             spec.vehicles
@@ -30,20 +30,20 @@ fn scenarios_of_a_space_shrink_to_the_nominal_one_and_round_numbers() {
                 .for_each(|vehicle| vehicle.speed_mps = speed_mps)
         })
     };
-    assert_eq!(found, faster(32.0).unwrap());
+    assert_eq!(smallest, faster(32.0).unwrap());
 }
 
 #[test]
 fn any_scenarios_shrink_to_the_nominal_one_and_round_numbers() {
-    let found = shrunk(&Scenarios::any(), |scenario| {
+    let smallest = shrunk(&Scenarios::any(), |scenario| {
         scenario.vehicles().len() < 4 || scenario.vehicles()[1].speed_mps < 31.3
     });
     let nominal = Scenarios::any().read(&[2]);
-    assert_eq!(found.vehicles().len(), 4);
+    assert_eq!(smallest.vehicles().len(), 4);
     let expected = nominal
         .edited(|spec| spec.vehicles[1].speed_mps = 32.0)
         .unwrap();
-    assert_eq!(found.edited(|spec| spec.seed = 0).unwrap(), expected);
+    assert_eq!(smallest.edited(|spec| spec.seed = 0).unwrap(), expected);
 }
 
 #[test]

@@ -43,7 +43,8 @@ const TRAINING: ResumableCommand = ResumableCommand(
 
 /// In this space an avoidable collision is quickly found to be avoidable, and every round searches for some.
 const RETRAINING: ResumableCommand = ResumableCommand(
-    "retrain --preset tiny.toml --space paper --rounds 2 --episodes 12 --budget 5 --draws 5 --validation-draws 3 --nominal 3 \
+    "retrain --preset tiny.toml --space paper --rounds 2 --episodes 12 --budget 5 --draws 5 \
+     --validation-draws 3 --nominal 3 \
      --test-draws 3 --regression traffic --regression-draws 3 --seed 3",
     Some(tiny::retraining),
 );

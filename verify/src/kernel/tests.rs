@@ -105,14 +105,14 @@ fn each_proof_case_equals_the_shortfall_of_the_motion() {
 
 #[test]
 fn terms_that_must_be_zero_are_not_only_nonnegative() {
-    let one = Polynomial::constant(&rational("1"));
-    let nothing = &one - &one;
+    let unit = Polynomial::constant(&rational("1"));
+    let nothing = &unit - &unit;
     assert!(
-        !ProofCase::zero("", one.clone()).holds() && ProofCase::zero("", nothing.clone()).holds()
+        !ProofCase::zero("", unit.clone()).holds() && ProofCase::zero("", nothing.clone()).holds()
     );
     assert!(
-        ProofCase::nonnegative("", one.clone()).holds()
+        ProofCase::nonnegative("", unit.clone()).holds()
             && ProofCase::nonnegative("", nothing).holds()
     );
-    assert!(!ProofCase::nonnegative("", -&one).holds());
+    assert!(!ProofCase::nonnegative("", -&unit).holds());
 }

@@ -28,9 +28,9 @@ pub(super) fn is_near(actual: f64, expected: f64, relative: f64) -> bool {
     (actual - expected).abs() <= relative * expected.abs()
 }
 
-pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {
+pub(super) fn affine_input(weights: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {
     ControllerInput {
-        coefficients: of,
+        coefficients: weights,
         constant,
         absent_value: None,
         offset: 0.0,
@@ -41,9 +41,12 @@ pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> Contro
 }
 
 /// Creates a controller without a network that commands an affine function of its observation.
-pub(super) fn affine_controller(of: [f64; OBSERVATION_SIZE], constant: f64) -> NeuralController {
+pub(super) fn affine_controller(
+    weights: [f64; OBSERVATION_SIZE],
+    constant: f64,
+) -> NeuralController {
     NeuralController {
-        inputs: vec![affine_input(of, constant)],
+        inputs: vec![affine_input(weights, constant)],
         layers: Vec::new(),
         output_index: 0,
         scale_mps2: 1.0,

@@ -38,15 +38,15 @@ struct Scaling {
     scale: [f64; OBSERVATION_SIZE],
     limit: f64,
     empty_gap_m: f64,
-    #[serde(default = "one")]
+    #[serde(default = "default_one")]
     history: usize,
-    #[serde(default = "one")]
+    #[serde(default = "default_one")]
     history_every: usize,
     #[serde(default)]
     extra: Vec<serde::de::IgnoredAny>,
 }
 
-fn one() -> usize {
+fn default_one() -> usize {
     1
 }
 

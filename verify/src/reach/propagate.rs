@@ -200,7 +200,7 @@ struct DecisionOutcome {
 
 /// Instants of a decision interval at which the follower's brake may fire.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Firing {
+struct BrakeFiring {
     /// First and last instant, in steps.
     instants: [f64; 2],
     is_certain: bool,
@@ -453,7 +453,7 @@ impl ReachAnalysis<'_> {
         members: &EgoSet,
         wanted: &AffineForm,
         follower: &BrakingVehicle,
-    ) -> Option<Firing> {
+    ) -> Option<BrakeFiring> {
         let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {
@@ -469,7 +469,7 @@ impl ReachAnalysis<'_> {
             if guard.low() < 0.0 {
                 let first = *first.get_or_insert(instant);
                 if guard.high() < 0.0 {
-                    return Some(Firing {
+                    return Some(BrakeFiring {
                         instants: [first, instant],
                         is_certain: true,
                     });
@@ -477,7 +477,7 @@ impl ReachAnalysis<'_> {
             }
         }
         let last = f64::from(k + self.scene.decision_steps - 1);
-        first.map(|first| Firing {
+        first.map(|first| BrakeFiring {
             instants: [first, last],
             is_certain: false,
         })

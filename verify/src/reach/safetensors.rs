@@ -327,7 +327,7 @@ mod tests {
 
     #[test]
     fn a_tensor_must_have_the_requested_type_and_shape() {
-        let of = |dtype: &str, shape: &[usize], place: [usize; 2], numbers: [f32; 6]| {
+        let tensor = |dtype: &str, shape: &[usize], range: [usize; 2], numbers: [f32; 6]| {
             let data: Vec<u8> = numbers
                 .iter()
                 .flat_map(|number| number.to_le_bytes())
@@ -335,7 +335,7 @@ mod tests {
             let entry = TensorInfo {
                 dtype: dtype.to_owned(),
                 shape: shape.to_vec(),
-                data_offsets: place,
+                data_offsets: range,
             };
             let mut file = SafetensorsFile {
                 tensors: [("w".to_owned(), entry)].into(),
@@ -351,10 +351,10 @@ mod tests {
         };
         let (numbers, all) = ([1.0, -2.0, 0.5, 3.0, 0.25, f32::MAX], [0, 24]);
         assert_eq!(
-            of("F32", &[2, 3], all, numbers),
+            tensor("F32", &[2, 3], all, numbers),
             Ok(numbers.map(f64::from).to_vec())
         );
-        for (dtype, shape, place) in [
+        for (dtype, shape, range) in [
             ("I32", &[2, 3][..], all),
             ("f32", &[2, 3], all),
             ("F32", &[3, 2], all),
@@ -365,13 +365,13 @@ mod tests {
         ] {
             let wrong = Err("tensor w has a wrong type or shape".to_owned());
             assert_eq!(
-                of(dtype, shape, place, numbers),
+                tensor(dtype, shape, range, numbers),
                 wrong,
-                "{dtype} {shape:?} {place:?}"
+                "{dtype} {shape:?} {range:?}"
             );
         }
         for number in [f32::NAN, f32::INFINITY] {
-            let endless = of("F32", &[2, 3], all, [0.0, 0.0, 0.0, 0.0, 0.0, number]);
+            let endless = tensor("F32", &[2, 3], all, [0.0, 0.0, 0.0, 0.0, 0.0, number]);
             assert_eq!(
                 endless,
                 Err("tensor w contains a number that is not finite".to_owned())

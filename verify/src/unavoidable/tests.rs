@@ -53,13 +53,13 @@ proptest! {
 #[test]
 fn a_q_that_may_be_zero_at_an_end_is_integrated_as_a_trapezoid() {
     let (brake, accel) = (8.0, 3.0);
-    let of = |low, high| Interval::new(low, high).unwrap();
+    let interval = |low, high| Interval::new(low, high).unwrap();
     let point = Interval::point;
     for (begin, end, expected) in [
-        (of(0.0, 2.0), point(-1.0), -2.0 * brake - accel),
-        (point(1.0), of(-2.0, 0.0), -brake - 2.0 * accel),
-        (of(-2.0, 0.0), point(1.0), -brake - 2.0 * accel),
-        (point(-1.0), of(0.0, 2.0), -2.0 * brake - accel),
+        (interval(0.0, 2.0), point(-1.0), -2.0 * brake - accel),
+        (point(1.0), interval(-2.0, 0.0), -brake - 2.0 * accel),
+        (interval(-2.0, 0.0), point(1.0), -brake - 2.0 * accel),
+        (point(-1.0), interval(0.0, 2.0), -2.0 * brake - accel),
     ] {
         let actual = min_step_integral(&ego(brake, accel), begin, end, point(0.5)).low();
         assert!(

@@ -198,7 +198,7 @@ fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Cons
         prop::collection::vec((0.0..=1.0_f64, 0.0..=1.0_f64), egos),
     )
         .prop_map(|(scene, levels)| {
-            let of = |(ego, (first, then)): (&SceneEgo, (f64, f64))| {
+            let motion_of = |(ego, (first, then)): (&SceneEgo, (f64, f64))| {
                 let a = |level: f64| {
                     let a = level * (ego.max_accel_mps2 + ego.max_brake_mps2) - ego.max_brake_mps2;
                     a.clamp(-ego.max_brake_mps2, ego.max_accel_mps2)
@@ -208,7 +208,7 @@ fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Cons
                     ConstantPiece(scene.steps - 1, a(then)),
                 ]
             };
-            let witness = scene.egos.iter().zip(levels).map(of).collect();
+            let witness = scene.egos.iter().zip(levels).map(motion_of).collect();
             (scene, witness)
         })
 }

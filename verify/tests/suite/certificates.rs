@@ -109,14 +109,14 @@ fn accepted_changed_certificates_are_true() {
 #[test]
 fn mutants_change_every_number_once_or_more() {
     let original = avoidable_file();
-    for place in [
+    for pointer in [
         "/statement/avoidable/scene/follower/brake_mps2",
         "/statement/avoidable/witness/0/1/1",
         "/version",
     ] {
         assert!(
-            mutants(&original).any(|(change, _)| change.starts_with(place)),
-            "{place}"
+            mutants(&original).any(|(change, _)| change.starts_with(pointer)),
+            "{pointer}"
         );
     }
     assert!(mutants(&original).all(|(_, mutant)| mutant != original));
@@ -303,10 +303,10 @@ proptest! {
         changes in prop::collection::vec((any::<prop::sample::Index>(), any_json()), 1..4), which in any::<bool>(),
     ) {
         let mut file = shared_file(which);
-        for (place, value) in changes {
+        for (index, value) in changes {
             let places = support::mutants::json_pointers(&file);
-            let place = place.get(&places).clone();
-            *file.pointer_mut(&place).unwrap() = value;
+            let pointer = index.get(&places).clone();
+            *file.pointer_mut(&pointer).unwrap() = value;
         }
         if let Ok(certificate) = Certificate::from_json(&file.to_string()) {
             let _ = check(&certificate);
@@ -320,7 +320,7 @@ proptest! {
         let mut file = shared_file(which);
         let places: Vec<String> =
             support::mutants::json_pointers(&file).into_iter().filter(|p| file.pointer(p).unwrap().is_f64()).collect();
-        for (place, value) in changes {
+        for (index, value) in changes {
             *file.pointer_mut(place.get(&places).as_str()).unwrap() = json!(value);
         }
         if let Ok(certificate) = Certificate::from_json(&file.to_string()) && check(&certificate).is_ok() {

@@ -169,8 +169,8 @@ fn two_derivations_agree() {
         observation_error: [0.0; 8],
         ..paper_problem(&controller, paper_box(0.5, 0.1))
     };
-    for place in [0.0, 0.3, 1.0] {
-        let start = box_member(&scene.ranges, [place; 8]);
+    for share in [0.0, 0.3, 1.0] {
+        let start = box_member(&scene.ranges, [share; 8]);
         let ((exact, _), (plain, _)) = (
             simulate_member(&scene, start, 1).unwrap(),
             simulate(&scene, start),

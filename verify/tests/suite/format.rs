@@ -620,7 +620,7 @@ fn the_subject_of_a_claim_follows_from_kind_and_texts() {
     assert!(
         [rate(), comparison()]
             .iter()
-            .all(|of| about(of) == format!("space `paper`, SHA-256 {space}"))
+            .all(|subject| about(subject) == format!("space `paper`, SHA-256 {space}"))
     );
     let old = about(&Certificate {
         version: 1,
@@ -695,7 +695,7 @@ fn the_scope_states_the_error_of_each_observed_quantity() {
     let message = with(&|claim| claim.follower_ttc_s = None);
     assert!(message.ends_with(without_follower), "{message}");
 
-    let of = |controller: Value| {
+    let claim_about = |controller: Value| {
         let claim = json!({
             "motion": "absolute", "controller": controller, "step_s": 0.01, "action_repeat": 1, "own_mps2": [-7.5, 3],
             "leader_mps2": [-7.5, 3], "observation_error": [0, 0.5, 0.25], "region_gap_m": 100,
@@ -717,13 +717,17 @@ fn the_scope_states_the_error_of_each_observed_quantity() {
     }}});
     let errors =
         "\nlargest observation errors: gap 0 m, own speed 0.5 m/s, leader's speed 0.25 m/s";
-    assert!(of(idm.clone()).ends_with(errors), "{}", of(idm));
+    assert!(
+        claim_about(idm.clone()).ends_with(errors),
+        "{}",
+        claim_about(idm)
+    );
     let network = json!({"network": {"policy_file": "p.safetensors", "policy_sha256": "00"}});
     let accelerations = "; observed accelerations are any within the limits of the vehicles";
     assert!(
-        of(network.clone()).ends_with(&format!("{errors}{accelerations}")),
+        claim_about(network.clone()).ends_with(&format!("{errors}{accelerations}")),
         "{}",
-        of(network)
+        claim_about(network)
     );
 }
 

@@ -126,8 +126,8 @@ proptest! {
         let steps = if step_s < 0.1 { 400 } else { 100 };
         let scene = ReachProblem { stop_when_undecided: false, steps, step_s, decision_steps: every, ..whole };
         let bounded = reach_with_tube(&scene);
-        for place in places {
-            let start = box_member(&ranges, place);
+        for point in places {
+            let start = box_member(&ranges, point);
             is_bounded(&scene, &bounded, simulate(&scene, start), &(start, law))?;
         }
     }

@@ -152,7 +152,7 @@ fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f
         let mut best = ([0.5; 8], pieces, gap([0.5; 8], &pieces));
         for round in 0..rounds {
             let size = 0.99_f64.powi(round as i32 % 300);
-            let place = best
+            let index = best
                 .0
                 .map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
             let mut pieces = best.1;
@@ -160,9 +160,9 @@ fn min_gap_under_attack(scene: &ReachProblem<'_>, rounds: usize, seed: u64) -> f
                 pieces[(numbers.next_unit() * PIECES as f64) as usize] =
                     numbers.next_unit().round();
             }
-            let found_m = gap(place, &pieces);
+            let found_m = gap(index, &pieces);
             if found_m < best.2 {
-                best = (place, pieces, found_m);
+                best = (index, pieces, found_m);
             }
         }
         best_m = best_m.min(best.2);
@@ -309,16 +309,16 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
         needed.contains(&Assumption::LeaderWithinLimit)
             && !needed.contains(&Assumption::ScriptedLeader)
     );
-    let place = needed
+    let index = needed
         .iter()
-        .position(|one| *one == Assumption::LeaderWithinLimit)
+        .position(|assumption| *assumption == Assumption::LeaderWithinLimit)
         .unwrap();
     let mut without = needed.clone();
-    without.remove(place);
+    without.remove(index);
     let mut doubled = needed.clone();
-    doubled.insert(place, Assumption::LeaderWithinLimit);
+    doubled.insert(index, Assumption::LeaderWithinLimit);
     let mut scripted = needed.clone();
-    scripted[place] = Assumption::ScriptedLeader;
+    scripted[index] = Assumption::ScriptedLeader;
     for assumptions in [without, doubled, scripted.clone()] {
         assert!(matches!(
             with(&genuine, assumptions),

@@ -37,12 +37,13 @@ fn terms(
     slopes: &[f64; OBSERVATION_SIZE],
     seen: &[AffineForm; OBSERVATION_SIZE],
 ) -> [f64; SYMBOLS] {
-    let of = |form: &AffineForm, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
+    let coefficient =
+        |form: &AffineForm, symbol: usize| form.terms().get(symbol).copied().unwrap_or(0.0);
     std::array::from_fn(|symbol| {
         slopes
             .iter()
             .zip(seen)
-            .map(|(slope, seen)| slope * of(seen, symbol))
+            .map(|(slope, seen)| slope * coefficient(seen, symbol))
             .sum()
     })
 }

@@ -164,9 +164,9 @@ fn a_statement_about_a_network_names_its_source_and_assumptions() {
             "{refused:?}"
         );
     }
-    for place in (0..file.len()).step_by(7) {
+    for offset in (0..file.len()).step_by(7) {
         let mut changed = file.clone();
-        changed[place] ^= 1;
+        changed[offset] ^= 1;
         assert!(matches!(
             check_with(&genuine, Some(&changed), WorkLimit::default()),
             Err(Rejection::Policy { .. })
@@ -293,7 +293,7 @@ fn substitutes_are_for_vehicles_that_may_be_absent() {
             "acceleration" => "mps2",
             _ => "mps",
         };
-        let [ahead, behind] = ["ahead", "behind"].map(|place| format!("{quantity}_{place}_{unit}"));
+        let [ahead, behind] = ["ahead", "behind"].map(|side| format!("{quantity}_{side}_{unit}"));
         assert_eq!(read(json!({ "quantity": ahead })), Ok((0.0, None)));
         assert_eq!(
             read(json!({ "quantity": ahead, "absent": 7.0 })),
@@ -375,14 +375,10 @@ fn an_output_is_clipped_where_it_could_exceed_its_bounds() {
         let clips = (0..steps.len()).filter(|&index| steps[index] == "clip");
         let tensors: Vec<_> = clips
             .flat_map(|index| {
-                let of = |name: &str, place: usize| {
-                    (
-                        format!("steps.{index}.{name}"),
-                        vec![1],
-                        &numbers[place..=place],
-                    )
+                let bound = |name: &str, at: usize| {
+                    (format!("steps.{index}.{name}"), vec![1], &numbers[at..=at])
                 };
-                [of("low", 0), of("high", 1)]
+                [bound("low", 0), bound("high", 1)]
             })
             .collect();
         NeuralController::from_bytes(&encode_file(&text, &tensors))

@@ -66,10 +66,10 @@ pub fn paper_problem<'a>(
     }
 }
 
-pub fn box_member(ranges: &InitialRanges, place: [f64; 8]) -> ReachPoint {
+pub fn box_member(ranges: &InitialRanges, point: [f64; 8]) -> ReachPoint {
     std::array::from_fn(|i| {
         let range = ranges.get(BoxDimension::ALL[i]);
-        (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
+        (range.low() + point[i] * (range.high() - range.low())).clamp(range.low(), range.high())
     })
 }
 
@@ -91,7 +91,7 @@ fn widen_network(controller: &NeuralController, copies: usize) -> NeuralControll
             layer.weights[i / in_copies * layer.outputs + o / out_copies] / in_copies as f64
         };
         let weights = (0..inputs * outputs)
-            .map(|place| weight(place / outputs, place % outputs))
+            .map(|index| weight(index / outputs, index % outputs))
             .collect();
         let biases = (0..outputs).map(|o| layer.biases[o / out_copies]).collect();
         NetworkLayer::Linear(LinearLayer {
@@ -154,9 +154,9 @@ proptest! {
         }).collect();
         let answer = network_output(&controller.layers, &forms);
         for at in at {
-            let of = |i: usize| centre[i] + share[i].iter().zip(&at).map(|(s, at)| s * at).sum::<f64>();
+            let coordinate = |i: usize| centre[i] + share[i].iter().zip(&at).map(|(s, at)| s * at).sum::<f64>();
             // Inputs are in single precision: their rounding is not part of these forms.
-            let seen: Vec<f64> = (0..inputs).map(of).collect();
+            let seen: Vec<f64> = (0..inputs).map(coordinate).collect();
             let exact = network_outputs(&controller.layers, seen)[0];
             let expected = answer.centre() + answer.terms().iter().zip(&at).map(|(term, at)| term * at).sum::<f64>();
             prop_assert!((exact - expected).abs() <= answer.rest() + 1e-9, "{exact} {expected} {}", answer.rest());
@@ -214,8 +214,8 @@ proptest! {
         };
         let bounded = reach_with_tube(&scene);
         let corner = |i: usize| std::array::from_fn(|j| f64::from(u8::from(i >> j & 1 == 1)));
-        for place in places.into_iter().chain([corner(0), corner(255), corner(0b0101_1010)]) {
-            let start = box_member(&ranges, place);
+        for point in places.into_iter().chain([corner(0), corner(255), corner(0b0101_1010)]) {
+            let start = box_member(&ranges, point);
             is_bounded(&scene, &bounded, simulate(&scene, start), &start)?;
         }
     }
@@ -253,20 +253,20 @@ pub fn min_gap_under_attack(
     };
     let mut best = ([0.5; 8], gap([0.5; 8]));
     for _ in 0..random {
-        let place = std::array::from_fn(|_| numbers.next_unit());
-        let actual = gap(place);
+        let point = std::array::from_fn(|_| numbers.next_unit());
+        let actual = gap(point);
         if actual < best.1 {
-            best = (place, actual);
+            best = (point, actual);
         }
     }
     for round in 0..adversarial {
         let size = 0.5 * 0.995_f64.powi(round as i32);
-        let place = best
+        let point = best
             .0
             .map(|at: f64| (at + size * numbers.next_signed()).clamp(0.0, 1.0));
-        let actual = gap(place);
+        let actual = gap(point);
         if actual < best.1 {
-            best = (place, actual);
+            best = (point, actual);
         }
     }
     best.1
@@ -481,8 +481,8 @@ fn one_changed_weight_is_another_policy() {
         panic!()
     };
     let bias = (last.biases[0] as f32).to_le_bytes();
-    let place = bytes.windows(4).rposition(|four| four == bias).unwrap();
-    bytes[place..place + 4].copy_from_slice(&5.0_f32.to_le_bytes());
+    let offset = bytes.windows(4).rposition(|four| four == bias).unwrap();
+    bytes[offset..offset + 4].copy_from_slice(&5.0_f32.to_le_bytes());
     let changed = ReachClaim {
         policy_sha256: sha256(&bytes),
         ..claim()
@@ -599,14 +599,14 @@ fn a_decision_at_every_step_is_bounded_as_well() {
         assert_eq!(tube.len(), 1501);
         let mut found_m = [f64::INFINITY; 2];
         for start in 0..40 {
-            let place = std::array::from_fn(|_| {
+            let point = std::array::from_fn(|_| {
                 if start % 2 == 0 {
                     numbers.next_unit()
                 } else {
                     numbers.next_unit().round()
                 }
             });
-            let (trace, least) = simulate(&scene, box_member(&ranges, place));
+            let (trace, least) = simulate(&scene, box_member(&ranges, point));
             found_m = std::array::from_fn(|pair| found_m[pair].min(least[pair]));
             for (bounds, seen) in tube.iter().zip(&trace) {
                 assert!(bounds.iter().zip(seen).all(
@@ -690,7 +690,7 @@ fn worst_errors_at_each_size() {
         let lasting_m = best.2;
         for round in 0..4000 {
             let size = 0.999_f64.powi(round % 1000);
-            let place = best
+            let point = best
                 .0
                 .map(|at: f64| (at + 0.5 * size * numbers.next_signed()).clamp(0.0, 1.0));
             let mut signs = best.1.clone();
@@ -698,9 +698,9 @@ fn worst_errors_at_each_size() {
                 signs[(numbers.next_unit() * 30.0) as usize % 30]
                     [(numbers.next_unit() * 8.0) as usize % 8] *= -1.0;
             }
-            let found_m = gap(place, &signs);
+            let found_m = gap(point, &signs);
             if found_m < best.2 {
-                best = (place, signs, found_m);
+                best = (point, signs, found_m);
             }
         }
         println!(

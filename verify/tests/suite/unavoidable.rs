@@ -434,7 +434,7 @@ fn an_empty_branch_does_not_change_the_overlap() {
 
 #[test]
 fn a_branch_alone_lies_within_the_instants_too() {
-    let of = |first, last| {
+    let piece = |first, last| {
         check_branch(
             &stopping_scene(20.0, None),
             &Branch {
@@ -445,10 +445,10 @@ fn a_branch_alone_lies_within_the_instants_too() {
             7,
         )
     };
-    assert!(of(0, 5).is_ok() && of(5, 5).is_ok());
+    assert!(piece(0, 5).is_ok() && piece(5, 5).is_ok());
     for (first, last) in [(3, 2), (0, 6), (6, 6), (6, 5)] {
         assert_eq!(
-            of(first, last),
+            piece(first, last),
             Err(Rejection::Tiling { branch: 7 }),
             "{first} {last}"
         );

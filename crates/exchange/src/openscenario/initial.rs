@@ -32,7 +32,7 @@ pub(super) struct InitialState<'a> {
 
 impl InitialState<'_> {
     fn along_m(&self, entity: usize) -> Option<f64> {
-        self.places.get(entity).map(|place| place.along_m)
+        self.places.get(entity).map(|position| position.along_m)
     }
 }
 
@@ -228,7 +228,7 @@ fn resolve_places(
 }
 
 fn check_same_road(places: &[LanePlace], positions: &[Option<Node<'_>>]) -> Result<()> {
-    let road = places.first().map(|place| &place.road);
+    let road = places.first().map(|position| &position.road);
     let mut places = places.iter().zip(positions);
     match places.find(|(place, _)| road != Some(&place.road)) {
         Some((_, Some(position))) => Err(position.refuse("entities must be on the same road")),
@@ -259,7 +259,7 @@ pub(super) fn resolve_place(
             node.only(&["Orientation"], &["roadId", "laneId", "offset", "s"])?;
             check_in_middle(node)?;
             let road = roads.find(node, Some(&node.text("roadId")?), [0.0; 2])?;
-            road.place(node, lane_number(node, "laneId")?, node.number("s")?)
+            road.position(node, lane_number(node, "laneId")?, node.number("s")?)
                 .map(Some)
         }
         "RelativeLanePosition" => {

@@ -196,14 +196,15 @@ impl<'a> Replay<'a, '_> {
         let shift_s = if action.is_relative { start_s } else { 0.0 };
         let mut vertices = Vec::new();
         for (time_s, node) in &action.vertices {
-            let place = resolve_place(*node, &[], self.entities, self.roads)?;
-            let place = place.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
-            if place.road != self.road_id || place.lane != motion.lane {
+            let position = resolve_place(*node, &[], self.entities, self.roads)?;
+            let position =
+                position.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
+            if position.road != self.road_id || position.lane != motion.lane {
                 return Err(node.refuse("the trajectory leaves the lane"));
             }
             vertices.push(PathVertex {
                 time_s: shift_s + time_s,
-                position_m: place.along_m,
+                position_m: position.along_m,
             });
         }
         let Some(first) = vertices.first() else {

@@ -38,12 +38,12 @@ pub(super) struct EntityMotion<'a> {
 
 impl<'a> EntityMotion<'a> {
     /// Returns the motion at a constant speed from a place.
-    fn constant(place: &LanePlace, speed_mps: f64) -> Self {
+    fn constant(position: &LanePlace, speed_mps: f64) -> Self {
         Self {
-            plan: SpeedPlan::constant(place.along_m, speed_mps),
+            plan: SpeedPlan::constant(position.along_m, speed_mps),
             is_recorded: false,
             follows_path: false,
-            lane: place.lane,
+            lane: position.lane,
             lane_changes: Vec::new(),
             activated_s: None,
             is_controlled: false,
@@ -171,7 +171,7 @@ impl<'a, 'b> Replay<'a, 'b> {
             motion.is_controlled = is_controlled;
             motion.activated_s = is_active.then_some(0.0);
         }
-        let road_id = initial.places.first().map(|place| place.road.clone());
+        let road_id = initial.places.first().map(|position| position.road.clone());
         let mut replay = Self {
             entities,
             motion,

@@ -198,7 +198,7 @@ impl StraightRoad {
     }
 
     /// Returns the place `s_m` along the road on a lane.
-    pub(super) fn place(&self, node: Node<'_>, lane: i32, s_m: f64) -> Result<LanePlace> {
+    pub(super) fn position(&self, node: Node<'_>, lane: i32, s_m: f64) -> Result<LanePlace> {
         if self.lane(lane).is_none() || lane == 0 {
             return Err(node.refuse(format!("the road `{}` has no lane {lane}", self.id)));
         }
@@ -220,7 +220,7 @@ impl StraightRoad {
 
     /// Returns the place at a position in the direction of travel.
     pub(super) fn place_along(&self, node: Node<'_>, lane: i32, along_m: f64) -> Result<LanePlace> {
-        self.place(node, lane, self.direction(lane) * along_m - self.start_m())
+        self.position(node, lane, self.direction(lane) * along_m - self.start_m())
     }
 
     /// Position of the start of the road along its direction, so that positions are x on a road along x.
@@ -265,7 +265,7 @@ impl StraightRoad {
                 format_number(travel_rad),
                 lane.id
             ))),
-            _ => self.place(node, lane.id, s_m),
+            _ => self.position(node, lane.id, s_m),
         }
     }
 

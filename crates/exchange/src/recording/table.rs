@@ -541,8 +541,8 @@ impl CsvColumn {
         match indices[..] {
             [index] => names.column(index, unit),
             [] => {
-                let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
-                names.reject(&excerpt(name), ColumnProblem::Missing { known })
+                let list = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
+                names.reject(&excerpt(name), ColumnProblem::Missing { known: list })
             }
             _ => names.reject(&excerpt(name), ColumnProblem::Repeated),
         }

@@ -210,10 +210,10 @@ mod tests {
                 .unwrap();
         }
         let regression = RegressionSet::new(&plan).unwrap();
-        let of = |policy: Arc<Policy>| {
+        let results_of = |policy: Arc<Policy>| {
             RegressionResults::evaluate(&policy, &plan, &kept_aside, &regression).unwrap()
         };
-        let (before, after) = (of(first), of(Policy::reference()));
+        let (before, after) = (results_of(first), results_of(Policy::reference()));
         let collisions = [&before, &after].map(|results| results.validation_set.len());
         assert!(collisions[1] < collisions[0], "{collisions:?}");
         let without = |standing: &RegressionResults| RegressionResults {
@@ -239,7 +239,7 @@ mod tests {
         let traffic = before
             .regression
             .iter()
-            .find(|of| of.space == "traffic")
+            .find(|results_of| results_of.space == "traffic")
             .unwrap();
         assert!(
             traffic.not_useful.as_ref().unwrap().len() > 30,

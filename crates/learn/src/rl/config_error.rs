@@ -47,8 +47,8 @@ impl TrainingConfigError {
                 field, low, high, ..
             } => {
                 let written = text_file::raw_toml_value(text, field);
-                let written = written.map(|found| {
-                    format!("{field}: must be between {low} and {high}, found {found}")
+                let written = written.map(|value| {
+                    format!("{field}: must be between {low} and {high}, found {value}")
                 });
                 (field, written.unwrap_or_else(|| self.to_string()))
             }

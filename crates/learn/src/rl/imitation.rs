@@ -58,7 +58,8 @@ pub struct ImitationConfig {
         deserialize_with = "deserialize_f32_no_underflow"
     )]
     pub change_weight: f32,
-    /// Weight of a penalty on hard braking in spaces whose `cost_multiplier` is above 1, relative to the loss; 0 for none.
+    /// Weight of a penalty on hard braking in spaces whose `cost_multiplier` is above 1, relative to the loss; 0 for
+    /// none.
     /// The penalty is the squared difference by which the policy brakes harder than both the expert and
     /// [`EASY_BRAKE_MPS2`].
     #[serde(

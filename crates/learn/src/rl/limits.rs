@@ -88,7 +88,8 @@ impl TrainingConfig {
         let decay = self.learning.lr_decay.as_ref();
         if let Some(decay) = decay.filter(|decay| decay.until_episode <= random) {
             let problem = format!(
-                "must be above exploration.learning_starts_episode, after which learning starts: above {random}, found {}",
+                "must be above exploration.learning_starts_episode, after which learning starts: above {random}, \
+                 found {}",
                 decay.until_episode
             );
             let field = "learning.lr_decay.until_episode";

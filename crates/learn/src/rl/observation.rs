@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
-use super::serde_helpers::{is_one, one};
+use super::serde_helpers::{default_one, is_one};
 use crumple_sim::policy::{
     ExtraInput, MAX_EXTRA_INPUTS, MAX_HISTORY, ObservationScaling, STATE_LEN,
 };
@@ -23,10 +23,10 @@ pub struct ObservationConfig {
     /// Gap to a vehicle that is absent, in metres; it has the ego vehicle's speed.
     pub empty_gap_m: f64,
     /// Number of decisions in the observation, with the present one. At the start the first one is repeated.
-    #[serde(default = "one::<u32>", skip_serializing_if = "is_one")]
+    #[serde(default = "default_one::<u32>", skip_serializing_if = "is_one")]
     pub history: u32,
     /// Decisions between two of them. A longer interval keeps noise from hiding changes of speed.
-    #[serde(default = "one::<u32>", skip_serializing_if = "is_one")]
+    #[serde(default = "default_one::<u32>", skip_serializing_if = "is_one")]
     pub history_every: u32,
     /// Selected inputs.
     pub inputs: ObservationInputs,

@@ -185,8 +185,8 @@ pub fn parallel_map<I: Sync, R: Send>(
     };
     std::thread::scope(|scope| {
         let take_turns = &take_turns;
-        for place in 0..at_once {
-            let share = threads.max(1) / at_once + usize::from(place < threads % at_once);
+        for lane in 0..at_once {
+            let share = threads.max(1) / at_once + usize::from(lane < threads % at_once);
             scope.spawn(
                 move || match rayon::ThreadPoolBuilder::new().num_threads(share).build() {
                     Ok(pool) => pool.install(take_turns),

@@ -3,12 +3,12 @@
 use serde::de::Error;
 use serde::{Deserialize, Deserializer};
 
-pub(super) fn one<T: From<u8>>() -> T {
+pub(super) fn default_one<T: From<u8>>() -> T {
     T::from(1)
 }
 
 pub(super) fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
-    *value == one()
+    *value == default_one()
 }
 
 /// Deserializes an f32 and rejects non-zero values that underflow to 0.

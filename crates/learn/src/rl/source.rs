@@ -275,7 +275,7 @@ mod tests {
 
     #[test]
     fn a_source_is_known_by_its_cases_and_their_share() {
-        let of = |name: &str, share| {
+        let draws_of = |name: &str, share| {
             CaseMixture::new(
                 vec![built_in_scenario(name).unwrap()],
                 share,
@@ -284,9 +284,9 @@ mod tests {
             .identity()
             .unwrap()
         };
-        assert_eq!(of("paper-1", 0.5), of("paper-1", 0.5));
-        assert_ne!(of("paper-1", 0.5), of("paper-2", 0.5));
-        assert_ne!(of("paper-1", 0.5), of("paper-1", 0.6));
+        assert_eq!(draws_of("paper-1", 0.5), draws_of("paper-1", 0.5));
+        assert_ne!(draws_of("paper-1", 0.5), draws_of("paper-2", 0.5));
+        assert_ne!(draws_of("paper-1", 0.5), draws_of("paper-1", 0.6));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::{TrainingConfigError, check_range};
-use super::serde_helpers::{is_one, one};
+use super::serde_helpers::{default_one, is_one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_controllers::Controllers;
 use crumple_core::text_file::is_default;
@@ -16,7 +16,8 @@ const MAX_COST_MULTIPLIER: f64 = 1e4;
 
 const WEIGHT_RANGE: [f64; 2] = [1e-6, 1e6];
 
-/// Hint for a space that is listed twice: its weights would add up, and its `cost_multiplier` could contradict each other.
+/// Hint for a space that is listed twice: its weights would add up, and its values of `cost_multiplier` could
+/// contradict each other.
 const ONE_WEIGHT_HINT: &str = "give it one weight";
 
 const MAX_SPACES: usize = 32;
@@ -32,7 +33,7 @@ pub struct TrainingSpace {
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
     #[serde(
-        default = "one::<f64>",
+        default = "default_one::<f64>",
         skip_serializing_if = "is_one",
         alias = "costs_times"
     )]
@@ -263,11 +264,11 @@ mod tests {
         let mut counts = [0_u32; 3];
         for index in 0..2000 {
             let drawn = blend.draw(7, index).unwrap();
-            let place = blend
+            let position = blend
                 .spaces()
                 .position(|space| space.draw(7, index).unwrap() == drawn)
                 .unwrap();
-            counts[place] += 1;
+            counts[position] += 1;
         }
         // Four standard deviations.
         for (actual, expected, four) in [

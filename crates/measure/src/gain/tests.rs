@@ -69,8 +69,8 @@ fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
         time_gap_s: 1.2,
         damping_per_s: 0.3,
     };
-    let found = survey(Arc::new(law), &[20.0]);
-    for point in &found.points {
+    let measured = survey(Arc::new(law), &[20.0]);
+    for point in &measured.points {
         // A decision holds for 0.01 s: this delay changes gains by up to 0.003.
         let (gain, exact) = (
             point.gain.clone().unwrap(),
@@ -81,7 +81,7 @@ fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
     let exact = (1..4000)
         .map(|k| law.exact_gain(0.0005 * f64::from(k)))
         .fold(0.0, f64::max);
-    let (_, largest) = found.largest().unwrap();
+    let (_, largest) = measured.largest().unwrap();
     assert!(
         exact > 1.05 && (largest - exact).abs() < 0.004,
         "{largest} {exact}"
@@ -92,8 +92,8 @@ fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
 #[test]
 fn idm_amplifies_at_low_speeds_and_damps_at_high_ones() {
     for (speed_mps, reference) in [(8.0, 1.034), (15.0, 1.022), (22.0, 1.001)] {
-        let found = survey(BuiltInController::Idm(IdmSettings::default()), &[speed_mps]);
-        let (at, gain) = found.largest().unwrap();
+        let measured = survey(BuiltInController::Idm(IdmSettings::default()), &[speed_mps]);
+        let (at, gain) = measured.largest().unwrap();
         assert!((gain - reference).abs() < 0.003, "{at:?} {gain}");
     }
     let (at, gain) = survey(BuiltInController::Idm(IdmSettings::default()), &[30.0])
@@ -192,10 +192,10 @@ fn an_oscillation_of_1_mps_at_8_mps_grows_along_a_line_of_idm() {
 
 #[test]
 fn a_controller_that_follows_no_leader_has_no_gain() {
-    let found = survey(BuiltInController::from_name("baseline").unwrap(), &[8.0]);
+    let measured = survey(BuiltInController::from_name("baseline").unwrap(), &[8.0]);
     assert!(
-        found.largest().is_none()
-            && found
+        measured.largest().is_none()
+            && measured
                 .points
                 .iter()
                 .all(|point| point.gain == Err(NoGain::NotSettled))
@@ -205,13 +205,13 @@ fn a_controller_that_follows_no_leader_has_no_gain() {
         time_gap_s: 0.0,
         damping_per_s: 0.0,
     };
-    let found = survey(Arc::new(keeps_speed), &[8.0]);
+    let measured = survey(Arc::new(keeps_speed), &[8.0]);
     assert!(
-        found
+        measured
             .points
             .iter()
             .all(|point| point.gain == Err(NoGain::NotSettled)),
         "{:?}",
-        found.points[0]
+        measured.points[0]
     );
 }

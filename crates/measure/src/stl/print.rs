@@ -207,12 +207,12 @@ mod tests {
             ("always (a > 1 and b > 1) or (a > 1) until (b > 1)", &[]),
         ] {
             let formula: Formula = text.parse().unwrap();
-            let found: Vec<_> = formula
+            let precedences: Vec<_> = formula
                 .first_sample_parts()
                 .into_iter()
                 .map(ToString::to_string)
                 .collect();
-            assert_eq!(found, parts, "{text}");
+            assert_eq!(precedences, parts, "{text}");
         }
     }
 

@@ -101,16 +101,16 @@ mod tests {
 
     #[test]
     fn amplification_by_hand() {
-        let found = SpeedAmplification::from_trace(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
+        let amplification = SpeedAmplification::from_trace(&line(&[2.0, 3.0, 1.5]), 1.0).unwrap();
         assert_eq!(
-            found,
+            amplification,
             SpeedAmplification {
                 of_each: vec![Some(1.5), Some(0.5)],
                 overall: 0.75
             }
         );
         let damped = SpeedAmplification::from_trace(&line(&[2.0, 1.0]), 0.0).unwrap();
-        assert!(found.has_amplification() && !damped.has_amplification());
+        assert!(amplification.has_amplification() && !damped.has_amplification());
         assert_eq!(
             SpeedAmplification::from_trace(&line(&[2.0, 0.0, 1.0]), 0.0)
                 .unwrap()
@@ -155,7 +155,10 @@ mod tests {
         let options = RunOptions::new(acc).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options).unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
-        let found = SpeedAmplification::from_trace(&trace, SPEED_DIP_ONSET_S).unwrap();
-        assert!(found.of_each.len() == 5 && found.overall > 0.1, "{found:?}");
+        let amplification = SpeedAmplification::from_trace(&trace, SPEED_DIP_ONSET_S).unwrap();
+        assert!(
+            amplification.of_each.len() == 5 && amplification.overall > 0.1,
+            "{amplification:?}"
+        );
     }
 }

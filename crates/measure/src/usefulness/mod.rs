@@ -176,8 +176,9 @@ mod tests {
         // Gaps at 0, 0.5, 1, 1.5 s: 20, 20, 20, 21 m at 20, 20, 20, 16 m/s: 1, 1, 1, 1.3125 s.
         let front = driven_track(4.0, 24.0, 20.0, &[(2.0, 0.0)], 0.5);
         let rear = driven_track(4.0, 0.0, 20.0, &[(1.0, 0.0), (1.0, -8.0)], 0.5);
-        let found = UsefulnessMeasures::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
-        let following = found.following.unwrap();
+        let measures =
+            UsefulnessMeasures::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let following = measures.following.unwrap();
         let near = |value: Option<f64>, by_hand: f64| (value.unwrap() - by_hand).abs() < 1e-12;
         assert!(near(following.progress, 0.9));
         assert!(near(following.mean_time_gap_s, 1.078_125));
@@ -186,11 +187,11 @@ mod tests {
             (0.3125_f64.powi(2) * 3.0 / 16.0).sqrt()
         ));
         assert!(!following.fell_behind);
-        assert!(near(found.rms_acceleration_mps2, 32.0_f64.sqrt()));
-        assert!(found.unnecessary.count == 1 && found.induced.is_none());
+        assert!(near(measures.rms_acceleration_mps2, 32.0_f64.sqrt()));
+        assert!(measures.unnecessary.count == 1 && measures.induced.is_none());
         // Steps of 0.5 s exceed the window, so that one of three contains the jump of 8 m/s².
         assert!(near(
-            found.rms_jerk_mps3,
+            measures.rms_jerk_mps3,
             (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S
         ));
 
@@ -219,10 +220,10 @@ mod tests {
         // 3 m/s³ in steps of 0.01 s: the change within a window is 0.3 m/s².
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
         let alone = trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01);
-        let found = UsefulnessMeasures::from_trace(&alone, &[], 0).unwrap();
+        let measures = UsefulnessMeasures::from_trace(&alone, &[], 0).unwrap();
         assert!(
-            (found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9,
-            "{found:?}"
+            (measures.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9,
+            "{measures:?}"
         );
     }
 
@@ -237,11 +238,11 @@ mod tests {
             )
             .unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
-            let found =
+            let measures =
                 UsefulnessMeasures::from_trace(&result.trace.unwrap(), &result.impacts, 1).unwrap();
             assert!(
-                found.unnecessary.is_empty() && found.hard.is_empty(),
-                "{found:?}"
+                measures.unnecessary.is_empty() && measures.hard.is_empty(),
+                "{measures:?}"
             );
         }
     }
@@ -263,10 +264,10 @@ mod tests {
                 let line = trace((0..3).map(vehicle).collect(), 0.125);
                 (0..3).map(|index| UsefulnessMeasures::from_trace(&line, &[], index).unwrap()).collect::<Vec<_>>()
             };
-            let found = at(0.0);
-            prop_assert_eq!(&found, &at(f64::from(shift_m)));
-            let json = serde_json::to_string(&found).unwrap();
-            prop_assert_eq!(&serde_json::from_str::<Vec<UsefulnessMeasures>>(&json).unwrap(), &found);
+            let measures = at(0.0);
+            prop_assert_eq!(&measures, &at(f64::from(shift_m)));
+            let json = serde_json::to_string(&measures).unwrap();
+            prop_assert_eq!(&serde_json::from_str::<Vec<UsefulnessMeasures>>(&json).unwrap(), &measures);
         }
     }
 }

@@ -31,8 +31,8 @@ impl CellMark {
     fn css_class(self) -> Option<&'static str> {
         match self {
             Self::Neutral => None,
-            Self::Good => Some("good judged"),
-            Self::Bad => Some("bad judged"),
+            Self::Good => Some("good compared"),
+            Self::Bad => Some("bad compared"),
             Self::Number => Some("number"),
         }
     }

@@ -175,9 +175,9 @@ impl BuiltInController {
             .iter()
             .map(|field| (field.name, field.range))
             .collect();
-        let settings = parse_settings(texts, controller, &names_and_ranges, |found| {
+        let settings = parse_settings(texts, controller, &names_and_ranges, |setting| {
             InvalidSetting::Unknown {
-                found,
+                found: setting,
                 owner: controller,
                 known: describe_known_settings(fields),
             }

@@ -206,15 +206,22 @@ mod tests {
         let stop_m = |b: f64| v * 0.75 + v * v / (2.0 * b) - front * front / 14.0;
         let (safe_m, unsafe_m) = (stop_m(4.0) + 4.0, stop_m(6.0) + 2.0);
         for (share, metric) in [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0)] {
-            let found = settings.proactive(v, &ahead(safe_m + share * (unsafe_m - safe_m), front));
-            assert!((found - metric).abs() < 1e-12, "{found} at {share}");
+            let command_mps2 =
+                settings.proactive(v, &ahead(safe_m + share * (unsafe_m - safe_m), front));
+            assert!(
+                (command_mps2 - metric).abs() < 1e-12,
+                "{command_mps2} at {share}"
+            );
         }
         let closing_m = |b: f64| 0.5 * (8.0 + 7.25) * 0.75 + 7.25 * 7.25 / (2.0 * b);
         for (share, metric) in [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0)] {
             let gap_m =
                 settings.graze_m + closing_m(4.0) + share * (closing_m(6.0) - closing_m(4.0));
-            let found = settings.critical(v, -1.0, &ahead(gap_m, front));
-            assert!((found - metric).abs() < 1e-12, "{found} at {share}");
+            let command_mps2 = settings.critical(v, -1.0, &ahead(gap_m, front));
+            assert!(
+                (command_mps2 - metric).abs() < 1e-12,
+                "{command_mps2} at {share}"
+            );
         }
     }
 

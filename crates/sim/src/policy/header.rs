@@ -51,10 +51,10 @@ pub struct ObservationScaling {
     /// Gap that stands for a missing neighbour, in metres; its speed is that of the ego vehicle.
     pub empty_gap_m: f64,
     /// Number of decisions whose inputs the network receives, including the current one.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "default_one", skip_serializing_if = "is_one")]
     pub history: usize,
     /// Number of decisions between two of these; 5 with decisions 0.1 s apart means 0.5 s.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "default_one", skip_serializing_if = "is_one")]
     pub history_every: usize,
     /// Inputs after the paper's eight.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -74,7 +74,7 @@ pub struct ExtraInput {
     pub scale: f64,
 }
 
-fn one() -> usize {
+fn default_one() -> usize {
     1
 }
 
@@ -90,8 +90,8 @@ impl Default for ObservationScaling {
             scale: [16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0],
             limit: 4.0,
             empty_gap_m: EMPTY_GAP_M,
-            history: one(),
-            history_every: one(),
+            history: default_one(),
+            history_every: default_one(),
             extra: Vec::new(),
         }
     }

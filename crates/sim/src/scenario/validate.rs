@@ -38,11 +38,11 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     check_sensors(&root.field("sensors"), &spec.sensors)?;
     let vehicles = root.field("vehicles");
     vehicles.check_length(spec.vehicles.len(), 2, 1000, "vehicles")?;
-    let found = steps.saturating_mul(spec.vehicles.len());
-    if found > MAX_VEHICLE_STEPS {
+    let vehicle_steps = steps.saturating_mul(spec.vehicles.len());
+    if vehicle_steps > MAX_VEHICLE_STEPS {
         return root.field("duration_s").reject(FieldProblem::TooLong {
             limit: MAX_VEHICLE_STEPS,
-            found,
+            found: vehicle_steps,
         });
     }
     for (index, vehicle) in spec.vehicles.iter().enumerate() {
@@ -119,14 +119,14 @@ fn check_no_overlap(path: &FieldPath<'_>, vehicles: &[VehicleSpec]) -> Result<()
         if let Some((index, behind)) = in_lane.peek()
             && behind.position_m >= rear_bumper_m
         {
-            let found = behind.position_m;
+            let position_m = behind.position_m;
             return path
                 .index(*index)
                 .field("position_m")
                 .reject(FieldProblem::Overlap {
                     ahead,
                     rear_bumper_m,
-                    found,
+                    found: position_m,
                 });
         }
     }
@@ -348,17 +348,20 @@ impl<'a> FieldPath<'a> {
         })
     }
 
-    fn check_number(&self, found: f64, range: AllowedRange) -> Result<(), InvalidField> {
-        if !found.is_finite() {
-            return self.reject(FieldProblem::NotFinite { found });
+    fn check_number(&self, value: f64, range: AllowedRange) -> Result<(), InvalidField> {
+        if !value.is_finite() {
+            return self.reject(FieldProblem::NotFinite { found: value });
         }
         let too_low = if range.excludes_min {
-            found <= range.min
+            value <= range.min
         } else {
-            found < range.min
+            value < range.min
         };
-        if too_low || found > range.max {
-            self.reject(FieldProblem::OutOfRange { range, found })
+        if too_low || value > range.max {
+            self.reject(FieldProblem::OutOfRange {
+                range,
+                found: value,
+            })
         } else {
             Ok(())
         }

@@ -288,9 +288,9 @@ mod tests {
             let mut changed = bytes.clone();
             changed[place] = byte;
             let [before, after] = [bytes, changed].map(|bytes| read_scenario(&mut Unstructured::new(&bytes)));
-            let place = place - ScenarioShape::BYTES - ROAD_BYTES;
+            let offset = place - ScenarioShape::BYTES - ROAD_BYTES;
             let drives = MAX_VEHICLES * DRIVE_BYTES;
-            let owner = if place < drives { place / DRIVE_BYTES } else { (place - drives) / BODY_BYTES };
+            let owner = if offset < drives { offset / DRIVE_BYTES } else { (offset - drives) / BODY_BYTES };
             for (index, (before, after)) in before.vehicles().iter().zip(after.vehicles()).enumerate() {
                 let placed = VehicleSpec { position_m: before.position_m, ..after.clone() };
                 prop_assert!(index == owner || *before == placed, "vehicle {index}, not {owner}");

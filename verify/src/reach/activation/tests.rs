@@ -27,22 +27,22 @@ fn any_f32(size: f32) -> impl Strategy<Value = f64> {
 }
 
 fn any_activation() -> impl Strategy<Value = Activation> {
-    let one = |numbers: f64| vec![numbers];
+    let single_layer = |numbers: f64| vec![numbers];
     prop_oneof![
         Just(Activation::Relu),
         prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Activation::LeakyRelu),
         prop_oneof![Just(0.0), Just(1.0), any_f32(2.0)].prop_map(Activation::Elu),
         Just(Activation::Tanh),
         Just(Activation::Sigmoid),
-        any_f32(10.0).prop_map(move |a| Activation::Add(one(a))),
-        any_f32(10.0).prop_map(move |a| Activation::Multiply(one(a))),
+        any_f32(10.0).prop_map(move |a| Activation::Add(single_layer(a))),
+        any_f32(10.0).prop_map(move |a| Activation::Multiply(single_layer(a))),
         any_f32(10.0)
             .prop_filter("not 0", |a| *a != 0.0)
-            .prop_map(move |a| Activation::Divide(one(a))),
+            .prop_map(move |a| Activation::Divide(single_layer(a))),
         (any_f32(3.0), 0.0..3.0_f32).prop_map(move |(low, more)| {
             Activation::Clip {
-                low: one(low),
-                high: one(f64::from(low as f32 + more)),
+                low: single_layer(low),
+                high: single_layer(f64::from(low as f32 + more)),
             }
         }),
     ]
@@ -164,14 +164,14 @@ proptest! {
 /// Checks that lines without excess change nothing, to the bit.
 #[test]
 fn linear_pieces_are_relaxed_without_error() {
-    let one = |number: f64| vec![number];
+    let single_layer = |number: f64| vec![number];
     for activation in [
         Activation::Relu,
         Activation::LeakyRelu(0.1),
         Activation::Elu(0.5),
         Activation::Clip {
-            low: one(-1.0),
-            high: one(9.0),
+            low: single_layer(-1.0),
+            high: single_layer(9.0),
         },
     ] {
         for (low, high) in [(0.0, 2.0), (0.5, 0.5), (1.0, 3.0)] {
@@ -187,15 +187,17 @@ fn linear_pieces_are_relaxed_without_error() {
         let line = Activation::Relu.relaxation(0, low, high);
         assert!(line.is_constant() && line == LinearRelaxation::new_constant(0.0));
     }
-    for (activation, cut) in [(one(-1.0), 2.0), (one(-9.0), -3.0)].map(|(low, high)| {
-        (
-            Activation::Clip {
-                low,
-                high: one(high),
-            },
-            high,
-        )
-    }) {
+    for (activation, cut) in
+        [(single_layer(-1.0), 2.0), (single_layer(-9.0), -3.0)].map(|(low, high)| {
+            (
+                Activation::Clip {
+                    low,
+                    high: single_layer(high),
+                },
+                high,
+            )
+        })
+    {
         for (low, high) in [(3.0, 3.0), (3.0, 7.0), (cut, 7.0)] {
             let line = activation.relaxation(0, low, high);
             assert!(
@@ -205,8 +207,8 @@ fn linear_pieces_are_relaxed_without_error() {
         }
     }
     let below = Activation::Clip {
-        low: one(-1.0),
-        high: one(2.0),
+        low: single_layer(-1.0),
+        high: single_layer(2.0),
     }
     .relaxation(0, -7.0, -1.0);
     assert!(below.is_constant() && below.low == -1.0);

@@ -58,10 +58,10 @@ proptest! {
         centre in any(0.5), columns in rows(1.0), rho in not_negative(0.05), is_sure: bool,
     ) {
         let inputs = input_forms(centres, terms, rests);
-        let known = InputForms::new(&inputs);
+        let input_forms = InputForms::new(&inputs);
         let rho = if is_sure { [0.0; NUMBERS] } else { rho };
         let mut actual = network_bounds(centre, columns, rho);
-        actual.apply_activation(&Activation::Relu, &known);
+        actual.apply_activation(&Activation::Relu, &input_forms);
         let column = |j: usize, number: usize| columns[j][number];
         let mut excess = actual.excess.iter();
         for number in 0..NUMBERS {
@@ -142,7 +142,7 @@ fn the_rounding_bound_grows_faster_than_the_width() {
     let actual = bounds.apply_linear(&layer, &InputForms::new(&inputs));
     let nu = (wide as f64 + 2.0) * u;
     let gamma = nu / (1.0 - nu) * (1.0 + 1e-6) + 2.0 * SUM_REL_ERROR;
-    let of = |i: usize| {
+    let form_at = |i: usize| {
         let own = [(5, 0.125), (8, 0.25)]
             .into_iter()
             .find(|(at, _)| *at == i)
@@ -150,7 +150,7 @@ fn the_rounding_bound_grows_faster_than_the_width() {
         let size = inputs[i].centre().abs() + inputs[i].radius() + 1e-3 + own;
         weights[i].abs() * (1e-3 + gamma * size)
     };
-    let expected = 3.0 * gamma + (0..wide).map(of).sum::<f64>();
+    let expected = 3.0 * gamma + (0..wide).map(form_at).sum::<f64>();
     assert!(
         is_near(actual.rho[0], expected, 1e-11),
         "{} {expected}",
@@ -174,11 +174,11 @@ fn consecutive_activations_are_bounded() {
         [[1.0, 0.0], [0.5, 0.5], [0.0, 0.25]],
         [0.0, 0.125, 0.0],
     );
-    let known = InputForms::new(&inputs);
+    let input_forms = InputForms::new(&inputs);
     let mut actual = NetworkBounds::from_inputs(&inputs);
-    actual.apply_activation(&Activation::Relu, &known);
+    actual.apply_activation(&Activation::Relu, &input_forms);
     assert_eq!(actual.excess.len(), 2);
-    actual.apply_activation(&Activation::Multiply(vec![2.0; NUMBERS]), &known);
+    actual.apply_activation(&Activation::Multiply(vec![2.0; NUMBERS]), &input_forms);
     assert!(actual.excess.is_empty() && actual.column_count() == NUMBERS + 2);
     let form = actual.into_form(0, &inputs).unwrap();
     // From [-1, 1]: half of it and 1/4 on either side, twice.
@@ -189,7 +189,7 @@ fn consecutive_activations_are_bounded() {
     );
     assert!(form.range().low() <= 0.0 - 1.0 && form.range().high() >= 2.0);
     let mut alone = NetworkBounds::from_inputs(&inputs);
-    alone.apply_activation(&Activation::Relu, &known);
+    alone.apply_activation(&Activation::Relu, &input_forms);
     let rho = alone.rho[0];
     let form = alone.into_form(0, &inputs).unwrap();
     let rest = (0.25 + rho) * (1.0 + 0.9 * SUM_REL_ERROR);

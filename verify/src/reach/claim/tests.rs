@@ -53,7 +53,7 @@ fn the_horizon_is_the_number_of_steps_times_the_step() {
 #[test]
 fn steps_are_positive_and_divide_the_time_between_decisions() {
     let controller = constant_controller(0.0);
-    let of = |step_s: f64| {
+    let claim_with_step = |step_s: f64| {
         problem(
             ReachClaim {
                 step_s,
@@ -63,9 +63,15 @@ fn steps_are_positive_and_divide_the_time_between_decisions() {
         )
     };
     for step_s in [0.0, -0.05, f64::INFINITY, f64::NAN] {
-        assert!(of(step_s).ends_with("must be positive"), "{step_s}");
+        assert!(
+            claim_with_step(step_s).ends_with("must be positive"),
+            "{step_s}"
+        );
     }
-    assert!(of(0.03).ends_with("must divide the decision interval") && of(0.05).is_empty());
+    assert!(
+        claim_with_step(0.03).ends_with("must divide the decision interval")
+            && claim_with_step(0.05).is_empty()
+    );
 }
 
 /// The limit holds for repeated lower and for repeated upper halves.

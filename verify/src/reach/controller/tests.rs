@@ -12,9 +12,9 @@ fn observation_with(first: AffineForm, second: AffineForm) -> [AffineForm; OBSER
 }
 
 fn coefficients(factors: [f64; 2]) -> [f64; OBSERVATION_SIZE] {
-    let mut of = NO_ERROR;
-    of[..2].copy_from_slice(&factors);
-    of
+    let mut errors = NO_ERROR;
+    errors[..2].copy_from_slice(&factors);
+    errors
 }
 
 #[test]
@@ -93,12 +93,15 @@ fn an_input_is_clipped_and_may_be_absent() {
 fn an_exact_input_is_off_by_one_rounding_of_single_precision() {
     let seen = observation_with(point_form(3.0), point_form(0.0));
     let radius = |input: ControllerInput| input.enclose(&seen, &NO_ERROR, true).radius();
-    let one = radius(ControllerInput {
+    let radius_of_gap = radius(ControllerInput {
         offset: 1.0,
         scale: 2.0,
         ..affine_input(coefficients([1.0, 0.0]), 0.0)
     });
-    assert!(is_near(one, UNIT_ROUNDOFF * (1.0 + 1e-6), 1e-7), "{one}");
+    assert!(
+        is_near(radius_of_gap, UNIT_ROUNDOFF * (1.0 + 1e-6), 1e-7),
+        "{radius_of_gap}"
+    );
     let nothing = radius(affine_input(coefficients([0.0, 1.0]), 0.0));
     assert!(is_near(nothing, 1e-44, 1e-9), "{nothing}");
 }

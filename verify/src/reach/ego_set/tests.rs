@@ -160,8 +160,8 @@ proptest! {
             let slope = place as f64 - 42.0;
             let ego = [1.0, 0.1 * slope, 0.2, 0.3, 0.01 * slope, 0.0];
             let alone = [0.0, 0.0, 0.0, 1.0, 0.1 * slope, -0.4];
-            let one = if place % 2 == 0 { ego } else { alone };
-            [one, one.map(|number| factor * number)]
+            let set = if place % 2 == 0 { ego } else { alone };
+            [set, set.map(|number| factor * number)]
         });
         let mut vectors: Vec<Generator> = pairs.collect();
         vectors.rotate_left(2 * seed);

@@ -176,7 +176,7 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     assert_eq!(firing([8.1, 9.0], [10.0; 2], 0.0), None);
     assert_eq!(
         firing([7.9, 9.0], [10.0; 2], 0.0),
-        Some(Firing {
+        Some(BrakeFiring {
             instants: [8.0, 11.0],
             is_certain: false
         })
@@ -185,14 +185,14 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     // Both stand at a gap of 0 or less.
     assert_eq!(
         firing([0.0, 1.0], [0.0; 2], 0.0),
-        Some(Firing {
+        Some(BrakeFiring {
             instants: [8.0, 11.0],
             is_certain: false
         })
     );
     assert_eq!(
         firing([-1.0, -0.5], [0.0; 2], 0.0),
-        Some(Firing {
+        Some(BrakeFiring {
             instants: [8.0, 8.0],
             is_certain: true
         })
@@ -200,14 +200,14 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
     // The ego brakes at 1 m/s² from 10 m/s, and the guard falls by 0.2 m/s and more: at 8.1 m it is 0.1 m at first.
     assert_eq!(
         firing([8.1, 8.1], [10.0; 2], -1.0),
-        Some(Firing {
+        Some(BrakeFiring {
             instants: [9.0, 9.0],
             is_certain: true
         })
     );
     assert_eq!(
         firing([8.1, 9.9], [10.0; 2], -1.0),
-        Some(Firing {
+        Some(BrakeFiring {
             instants: [9.0, 11.0],
             is_certain: false
         })
@@ -361,7 +361,7 @@ fn too_many_firing_intervals_are_undecided() {
     ranges.gap_behind_m = Interval::new(1.9, 3.0).unwrap();
     let most = MAX_INTERVALS as u32;
     // The steps are so short that hardly anything changes, and that many intervals merge into few windows.
-    let of = |steps| ReachProblem {
+    let problem_of = |steps| ReachProblem {
         step_s: 1e-5,
         steps,
         follower: LATCHED,
@@ -369,8 +369,8 @@ fn too_many_firing_intervals_are_undecided() {
         ..default_problem(&controller, ranges)
     };
     assert_eq!(
-        reach(&of(most + 1)).undecided,
+        reach(&problem_of(most + 1)).undecided,
         Some(Undecided::TooManySets { step: most })
     );
-    assert_eq!(reach(&of(most)).undecided, None);
+    assert_eq!(reach(&problem_of(most)).undecided, None);
 }

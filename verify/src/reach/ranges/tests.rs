@@ -3,13 +3,13 @@ use super::*;
 
 #[test]
 fn a_range_is_bisected_at_an_inner_number_or_not_at_all() {
-    let one = 1.0_f64;
-    let next = [one.next_up(), one.next_up().next_up()];
+    let unit = 1.0_f64;
+    let next = [unit.next_up(), unit.next_up().next_up()];
     for dimension in BoxDimension::ALL {
         let mut ranges = point_box([7.0; 8]);
         assert_eq!(ranges.bisect(dimension), None);
         // Between the first two the middle rounds to the lower one, and between the next two to the upper one.
-        for [low, high] in [[one, next[0]], next, [f64::MAX, f64::MAX]] {
+        for [low, high] in [[unit, next[0]], next, [f64::MAX, f64::MAX]] {
             *ranges.get_mut(dimension) = interval(low, high);
             assert_eq!(ranges.bisect(dimension), None);
         }

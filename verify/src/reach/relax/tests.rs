@@ -131,11 +131,11 @@ proptest! {
 
 #[test]
 fn functions_reach_their_limits_far_from_zero() {
-    let one = Interval::new((1.0 - f64::EPSILON).next_down(), 1.0).unwrap();
+    let unit = Interval::new((1.0 - f64::EPSILON).next_down(), 1.0).unwrap();
     for z in [20.5, 400.0, 1e300] {
-        assert_eq!((tanh(z), tanh(-z)), (one, -one));
+        assert_eq!((tanh(z), tanh(-z)), (unit, -unit));
     }
-    assert!(tanh(20.0).high() >= 1.0 && tanh(20.0) != one);
+    assert!(tanh(20.0).high() >= 1.0 && tanh(20.0) != unit);
     assert!(
         exp(-40.0).low() > 0.0 && exp(-50.0).low() == 0.0 && exp(-50.0).high() == exp(-40.0).high()
     );

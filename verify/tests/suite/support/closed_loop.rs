@@ -45,7 +45,7 @@ pub fn network_outputs<T: Float>(layers: &[NetworkLayer], inputs: Vec<T>) -> Vec
 }
 
 fn apply_layer<T: Float>(mut h: Vec<T>, step: &NetworkLayer) -> Vec<T> {
-    let of = |number: f64| T::from(number).unwrap();
+    let number_from = |number: f64| T::from(number).unwrap();
     let each = match step {
         NetworkLayer::Linear(LinearLayer {
             outputs,
@@ -53,10 +53,10 @@ fn apply_layer<T: Float>(mut h: Vec<T>, step: &NetworkLayer) -> Vec<T> {
             biases,
             ..
         }) => {
-            let mut sums: Vec<T> = biases.iter().map(|&bias| of(bias)).collect();
+            let mut sums: Vec<T> = biases.iter().map(|&bias| number_from(bias)).collect();
             for (value, row) in h.iter().zip(weights.chunks(*outputs)) {
                 for (sum, &weight) in sums.iter_mut().zip(row) {
-                    *sum = *sum + *value * of(weight);
+                    *sum = *sum + *value * number_from(weight);
                 }
             }
             return sums;
@@ -66,15 +66,17 @@ fn apply_layer<T: Float>(mut h: Vec<T>, step: &NetworkLayer) -> Vec<T> {
     for (number, x) in h.iter_mut().enumerate() {
         *x = match each {
             Activation::Relu => x.max(T::zero()),
-            Activation::LeakyRelu(slope) if *x < T::zero() => of(*slope) * *x,
-            Activation::Elu(alpha) if *x < T::zero() => of(*alpha) * x.exp_m1(),
+            Activation::LeakyRelu(slope) if *x < T::zero() => number_from(*slope) * *x,
+            Activation::Elu(alpha) if *x < T::zero() => number_from(*alpha) * x.exp_m1(),
             Activation::LeakyRelu(_) | Activation::Elu(_) => *x,
             Activation::Tanh => x.tanh(),
             Activation::Sigmoid => T::one() / (T::one() + (-*x).exp()),
-            Activation::Add(operands) => *x + of(operands[number]),
-            Activation::Multiply(operands) => *x * of(operands[number]),
-            Activation::Divide(operands) => *x / of(operands[number]),
-            Activation::Clip { low, high } => x.max(of(low[number])).min(of(high[number])),
+            Activation::Add(operands) => *x + number_from(operands[number]),
+            Activation::Multiply(operands) => *x * number_from(operands[number]),
+            Activation::Divide(operands) => *x / number_from(operands[number]),
+            Activation::Clip { low, high } => x
+                .max(number_from(low[number]))
+                .min(number_from(high[number])),
         };
     }
     h
@@ -218,9 +220,9 @@ pub struct XorShiftRng(pub u64);
 
 impl XorShiftRng {
     /// Creates an independent generator for an index.
-    pub fn for_index(seed: u64, place: u32) -> Self {
+    pub fn for_index(seed: u64, index: u32) -> Self {
         let mut numbers =
-            Self((seed ^ (u64::from(place) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
+            Self((seed ^ (u64::from(index) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)) | 1);
         numbers.next_unit();
         numbers
     }

@@ -184,15 +184,15 @@ impl FixedPointInterval {
     }
 
     fn tanh(&self) -> Self {
-        let one = || Self::from(1.0);
+        let unit = || Self::from(1.0);
         let at = |end: &BigInt| {
             let end = Self::point(end.clone());
             if end.low < BigInt::ZERO {
                 let e = (end.clone() + end).exp();
-                return (e.clone() - one()).over(&(e + one()));
+                return (e.clone() - unit()).over(&(e + unit()));
             }
             let e = (-(end.clone() + end)).exp();
-            (one() - e.clone()).over(&(one() + e))
+            (unit() - e.clone()).over(&(unit() + e))
         };
         self.map_monotone(at)
     }
@@ -280,7 +280,7 @@ fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPoin
             biases,
             ..
         }) => {
-            let of = |o: usize| {
+            let order = |o: usize| {
                 let column = weights.iter().skip(o).step_by(*outputs);
                 h.iter()
                     .zip(column)
@@ -289,13 +289,13 @@ fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPoin
                         sum + h.clone() * weight.into()
                     })
             };
-            return (0..*outputs).map(of).collect();
+            return (0..*outputs).map(order).collect();
         }
         NetworkLayer::Activation(each) => each,
     };
-    let one = || FixedPointInterval::from(1.0);
+    let unit = || FixedPointInterval::from(1.0);
     let zero = FixedPointInterval::zero();
-    let of = |(number, x): (usize, FixedPointInterval)| {
+    let scaled = |(number, x): (usize, FixedPointInterval)| {
         let bent = |below: &dyn Fn(&FixedPointInterval) -> FixedPointInterval| {
             let above = x.max(&zero);
             match x.is_below(&zero) {
@@ -307,30 +307,30 @@ fn apply_layer(h: Vec<FixedPointInterval>, step: &NetworkLayer) -> Vec<FixedPoin
         match each {
             Activation::Relu => bent(&|_| zero.clone()),
             Activation::LeakyRelu(slope) => bent(&|x| x.clone() * (*slope).into()),
-            Activation::Elu(alpha) => bent(&|x| (x.exp() - one()) * (*alpha).into()),
+            Activation::Elu(alpha) => bent(&|x| (x.exp() - unit()) * (*alpha).into()),
             Activation::Tanh => x.tanh(),
             // 1 / (1 + e⁻ˣ) = (1 + tanh(x/2)) / 2.
-            Activation::Sigmoid => ((x * 0.5.into()).tanh() + one()) * 0.5.into(),
+            Activation::Sigmoid => ((x * 0.5.into()).tanh() + unit()) * 0.5.into(),
             Activation::Add(operands) => x + operands[number].into(),
             Activation::Multiply(operands) => x * operands[number].into(),
             Activation::Divide(operands) => x.over(&operands[number].into()),
             Activation::Clip { low, high } => x.clamp(low[number], high[number]),
         }
     };
-    h.into_iter().enumerate().map(of).collect()
+    h.into_iter().enumerate().map(scaled).collect()
 }
 
 fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> FixedPointInterval {
-    let of = |number: f64| FixedPointInterval::from(number);
+    let fixed = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
-    let mean = (of(law.accel_mps2) * of(law.comfortable_brake_mps2)).sqrt();
+    let mean = (fixed(law.accel_mps2) * fixed(law.comfortable_brake_mps2)).sqrt();
     let dynamic =
-        v.clone() * of(law.time_headway_s) + (v.clone() * closing).over(&(of(2.0) * mean));
-    let gap_wanted = of(law.standstill_gap_m) + dynamic.max(&FixedPointInterval::zero());
-    let share = gap_wanted.over(&gap.max(&of(0.01)));
-    let part = v.over(&of(law.desired_speed_mps));
+        v.clone() * fixed(law.time_headway_s) + (v.clone() * closing).over(&(fixed(2.0) * mean));
+    let gap_wanted = fixed(law.standstill_gap_m) + dynamic.max(&FixedPointInterval::zero());
+    let share = gap_wanted.over(&gap.max(&fixed(0.01)));
+    let part = v.over(&fixed(law.desired_speed_mps));
     let squared = |number: FixedPointInterval| number.clone() * number;
-    of(law.accel_mps2) * (of(1.0) - squared(squared(part)) - squared(share))
+    fixed(law.accel_mps2) * (fixed(1.0) - squared(squared(part)) - squared(share))
 }
 
 /// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
@@ -339,31 +339,31 @@ fn law_acceleration(
     brake: &FixedPointInterval,
     [gap, v, ahead]: [&FixedPointInterval; 3],
 ) -> Result<FixedPointInterval, TooClose> {
-    let of = |number: f64| FixedPointInterval::from(number);
+    let fixed = |number: f64| FixedPointInterval::from(number);
     let closing = v.clone() - ahead.clone();
     let (wanted, most) = match law {
         FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
-        FollowerLaw::AccAeb(acc) if gap.is_below(&(of(acc.ttc_s) * closing.clone()))? => {
+        FollowerLaw::AccAeb(acc) if gap.is_below(&(fixed(acc.ttc_s) * closing.clone()))? => {
             (-brake.clone(), acc.max_accel_mps2)
         }
         FollowerLaw::AccAeb(acc) => {
-            let gain = of(acc.speed_gain_per_s);
+            let gain = fixed(acc.speed_gain_per_s);
             let limit = match acc.set_speed_mps {
-                Some(set_speed) => gain.clone() * (of(set_speed) - v.clone()),
+                Some(set_speed) => gain.clone() * (fixed(set_speed) - v.clone()),
                 None => {
-                    (gain.clone() * (of(2.0) - closing.clone())).max(&FixedPointInterval::zero())
+                    (gain.clone() * (fixed(2.0) - closing.clone())).max(&FixedPointInterval::zero())
                 }
             };
             let spacing =
-                gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
-            let follow = of(acc.gap_gain_per_s2) * spacing - gain * closing;
+                gap.clone() - fixed(acc.standstill_gap_m) - fixed(acc.time_headway_s) * v.clone();
+            let follow = fixed(acc.gap_gain_per_s2) * spacing - gain * closing;
             let comfortable = limit
                 .min(&follow)
                 .clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
             (comfortable, acc.max_accel_mps2)
         }
     };
-    Ok(wanted.max(&-brake.clone()).min(&of(most)))
+    Ok(wanted.max(&-brake.clone()).min(&fixed(most)))
 }
 
 struct StepMotion {
@@ -490,9 +490,9 @@ pub fn simulate_exactly(
         let ego = advance(&v_e, &answer, &step)?;
         let behind_it = advance(&v_r, &wants_r, &step)?;
         if k < steps {
-            for place in [0, 1] {
+            for index in [0, 1] {
                 let [l, e, r] =
-                    [&leader, &ego, &behind_it].map(|moved| moved.covered_m[place].clone());
+                    [&leader, &ego, &behind_it].map(|moved| moved.covered_m[index].clone());
                 let gaps = [ahead.clone() + l - e.clone(), behind.clone() + e - r];
                 least = std::array::from_fn(|pair| least[pair].min(&gaps[pair]));
             }

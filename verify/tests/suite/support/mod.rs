@@ -74,13 +74,13 @@ pub fn follower_at(position_m: f64, speed_mps: f64) -> SceneFollower {
 }
 
 pub fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
-    let of = |profile: &Vec<ConstantPiece<f64>>| {
+    let pieces_of = |profile: &Vec<ConstantPiece<f64>>| {
         profile
             .iter()
             .flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS])
             .collect()
     };
-    witness.iter().map(of).collect()
+    witness.iter().map(pieces_of).collect()
 }
 
 /// Substeps in a step. Profiles change between them, so they are more general than any held over steps.
@@ -96,28 +96,34 @@ pub struct SceneMember {
 
 /// Returns the member that `pick` chooses: 0 for the low end of an interval, 1 for the high one.
 pub fn pick_member(scene: &Scene, mut pick: impl FnMut() -> f64) -> SceneMember {
-    let mut of = |interval: Interval| {
+    let mut sample = |interval: Interval| {
         let value = interval.low() + pick() * (interval.high() - interval.low());
         value.clamp(interval.low(), interval.high())
     };
     SceneMember {
-        leader: [of(scene.leader.position_m), of(scene.leader.speed_mps)],
+        leader: [
+            sample(scene.leader.position_m),
+            sample(scene.leader.speed_mps),
+        ],
         leader_mps2: scene
             .leader
             .acceleration_mps2
             .iter()
             .flat_map(|&ConstantPiece(steps, a)| std::iter::repeat_n(a, steps as usize))
-            .map(&mut of)
+            .map(&mut sample)
             .collect(),
         egos: scene
             .egos
             .iter()
-            .map(|ego| [of(ego.position_m), of(ego.speed_mps)])
+            .map(|ego| [sample(ego.position_m), sample(ego.speed_mps)])
             .collect(),
-        follower: scene
-            .follower
-            .as_ref()
-            .map(|f| [of(f.position_m), of(f.speed_mps), of(f.brake_mps2)]),
+        follower: scene.follower.as_ref().map(|f| {
+            [
+                sample(f.position_m),
+                sample(f.speed_mps),
+                sample(f.brake_mps2),
+            ]
+        }),
     }
 }
 
@@ -199,7 +205,7 @@ pub fn has_escape(scene: &Scene, member: &SceneMember, blocks: usize) -> bool {
     let substeps = scene.steps as usize * SUBSTEPS;
     let choices = scene.egos.len() * blocks;
     (0..3_usize.pow(choices as u32)).any(|code| {
-        let level = |ego: &SceneEgo, place: usize| match code / 3_usize.pow(place as u32) % 3 {
+        let level = |ego: &SceneEgo, index: usize| match code / 3_usize.pow(index as u32) % 3 {
             0 => -ego.max_brake_mps2,
             1 => 0.0,
             _ => ego.max_accel_mps2,
@@ -310,13 +316,13 @@ pub fn profiles(scene: &Scene) -> impl Strategy<Value = Vec<Vec<f64>>> + use<> {
     );
     (levels, prop::sample::select(vec![1, 3, SUBSTEPS, 1000])).prop_map(move |(levels, held)| {
         let at = |i: usize, j: usize| levels[i * substeps + j / held * held];
-        let of = |(i, ego): (usize, &SceneEgo)| {
+        let trajectory_of = |(i, ego): (usize, &SceneEgo)| {
             (0..substeps)
                 .map(|j| at(i, j) * (ego.max_accel_mps2 + ego.max_brake_mps2) - ego.max_brake_mps2)
                 .map(|a| a.clamp(-ego.max_brake_mps2, ego.max_accel_mps2))
                 .collect()
         };
-        egos.iter().enumerate().map(of).collect()
+        egos.iter().enumerate().map(trajectory_of).collect()
     })
 }
 

@@ -169,7 +169,7 @@ fn random_below(count: usize, numbers: &mut XorShiftRng) -> usize {
 }
 
 fn random_input(numbers: &mut XorShiftRng) -> (ControllerInput, Value) {
-    let place = random_below(QUANTITIES.len() + 3, numbers);
+    let index = random_below(QUANTITIES.len() + 3, numbers);
     let low = if random_below(2, numbers) == 0 {
         -1e6
     } else {
@@ -180,7 +180,7 @@ fn random_input(numbers: &mut XorShiftRng) -> (ControllerInput, Value) {
     } else {
         1.2
     };
-    let Some(&(name, of, size)) = QUANTITIES.get(place) else {
+    let Some(&(name, of, size)) = QUANTITIES.get(index) else {
         let nothing = [0.0; 8];
         let plain = |constant, absent| ControllerInput {
             coefficients: nothing,
@@ -196,7 +196,7 @@ fn random_input(numbers: &mut XorShiftRng) -> (ControllerInput, Value) {
                 (key): value, "offset": 0.5, "scale": 2.0, "low": low, "high": high
             })
         };
-        return match place - QUANTITIES.len() {
+        return match index - QUANTITIES.len() {
             0 => (plain(1.4, None), described("constant", json!(1.4))),
             1 => (plain(1.0, None), described("quantity", json!("is_ahead"))),
             _ => (

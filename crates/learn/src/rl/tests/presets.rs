@@ -169,12 +169,12 @@ fn missing_and_unknown_fields_are_named_with_their_table() {
             };
             if message.contains("missing field") {
                 // Fields that the top level lacks have no line of their own.
-                let place = if table.is_empty() {
+                let path = if table.is_empty() {
                     String::new()
                 } else {
                     format!("{table}: ")
                 };
-                let expected = format!("own.toml:{}: {place}missing field `{key}`", header.0 + 1);
+                let expected = format!("own.toml:{}: {path}missing field `{key}`", header.0 + 1);
                 assert_eq!(message, expected, "{preset}");
             }
         }

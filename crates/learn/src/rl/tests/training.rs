@@ -260,17 +260,22 @@ fn checkpoints_of_another_training_are_refused() {
         assert!(error.contains(words), "{error}");
     };
     // Any byte of the arrays, and numbers of the header on which no array depends.
-    for place in [bytes.len() - 1, bytes.len() / 2] {
+    for length in [bytes.len() - 1, bytes.len() / 2] {
         let mut changed = bytes.clone();
-        changed[place] ^= 1;
+        changed[length] ^= 1;
         says(&changed, "does not match its SHA-256");
     }
     let edited = |from: &str, to: &str| {
-        let place = bytes
+        let offset = bytes
             .windows(from.len())
             .position(|window| window == from.as_bytes())
             .unwrap();
-        [&bytes[..place], to.as_bytes(), &bytes[place + from.len()..]].concat()
+        [
+            &bytes[..place],
+            to.as_bytes(),
+            &bytes[offset + from.len()..],
+        ]
+        .concat()
     };
     says(
         &edited(r#"\"decisions\":0"#, r#"\"decisions\":7"#),

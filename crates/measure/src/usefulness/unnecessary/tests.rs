@@ -21,11 +21,11 @@ fn unnecessary_braking_by_hand() {
     let unnecessary = |pieces: &[(f64, f64)]| {
         UnnecessaryBraking::from_trace(&steady_leader_trace(pieces), &[], 1).unwrap()
     };
-    let found = unnecessary(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
-    let hardest = found.hardest.unwrap();
+    let braking = unnecessary(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
+    let hardest = braking.hardest.unwrap();
     assert!(
-        (found.time_s - 0.8).abs() < 1e-9 && found.count == 2,
-        "{found:?}"
+        (braking.time_s - 0.8).abs() < 1e-9 && braking.count == 2,
+        "{braking:?}"
     );
     assert_eq!((hardest.brake_mps2, hardest.time_s), (5.0, 1.0));
     assert!((hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12);

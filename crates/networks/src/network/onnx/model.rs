@@ -220,13 +220,13 @@ impl NamedTensor {
         };
         let name = message.name.clone();
         let data = message.into_data()?;
-        let found = match &data {
+        let dtype = match &data {
             TensorData::Float(numbers) => numbers.len(),
             TensorData::Integer(numbers) => numbers.len(),
             TensorData::Unsupported(_) => count,
         };
-        if found != count {
-            let problem = format!("constant `{name}` of shape {shape:?} holds {found} numbers");
+        if dtype != count {
+            let problem = format!("constant `{name}` of shape {shape:?} holds {dtype} numbers");
             return Err(damaged(problem));
         }
         Ok(Self {

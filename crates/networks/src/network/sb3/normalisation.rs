@@ -258,10 +258,10 @@ mod tests {
             )
             .unwrap();
         }
-        let found =
+        let read_back =
             VecNormalizeStats::find_for_model(&folder.path().join("rl_model_256_steps.zip"));
         assert_eq!(
-            found,
+            read_back,
             Some(folder.path().join("rl_model_vecnormalize_256_steps.pkl"))
         );
     }

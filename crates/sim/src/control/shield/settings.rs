@@ -44,9 +44,9 @@ const SETTINGS: [ShieldSetting; 4] = [
     },
 ];
 
-fn unknown_setting(found: String) -> InvalidSetting {
+fn unknown_setting(setting: String) -> InvalidSetting {
     InvalidSetting::Unknown {
-        found,
+        found: setting,
         owner: "a shield",
         known: "there are ahead, gap-error, speed-error and ahead-speed-error, each with a number, as in \
             `shield,ahead=7.5,gap-error=0.2:policy`"

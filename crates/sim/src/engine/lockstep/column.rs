@@ -44,7 +44,7 @@ pub(super) struct VehicleColumn<'a> {
 
 impl<'a> VehicleColumn<'a> {
     pub(super) fn new(lanes: &[RunLane<'a>], platoons: &[PlatoonState], vehicle: usize) -> Self {
-        let of =
+        let decision_times =
             |take: &dyn Fn(&PlatoonState) -> f64| PerRun::from_values(platoons.iter().map(take));
         let actuators: Vec<_> = lanes
             .iter()
@@ -81,11 +81,11 @@ impl<'a> VehicleColumn<'a> {
                     .map(|lane| Disturbance::new(lane.run.scenario(), vehicle))
                     .collect(),
             ),
-            length_m: of(&|platoon| platoon.length_m[vehicle]),
-            mass_kg: of(&|platoon| platoon.mass_kg[vehicle]),
-            position_m: of(&|platoon| platoon.motion[vehicle].position_m),
-            speed_mps: of(&|platoon| platoon.motion[vehicle].speed_mps),
-            min_gap_m: of(&|platoon| platoon.min_gap_m[vehicle]),
+            length_m: decision_times(&|platoon| platoon.length_m[vehicle]),
+            mass_kg: decision_times(&|platoon| platoon.mass_kg[vehicle]),
+            position_m: decision_times(&|platoon| platoon.motion[vehicle].position_m),
+            speed_mps: decision_times(&|platoon| platoon.motion[vehicle].speed_mps),
+            min_gap_m: decision_times(&|platoon| platoon.min_gap_m[vehicle]),
             acceleration_mps2: nothing.clone(),
             next_acceleration_mps2: nothing.clone(),
             next_position_m: nothing.clone(),

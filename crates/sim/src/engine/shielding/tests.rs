@@ -125,7 +125,7 @@ fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
 #[test]
 fn rounding_far_from_the_origin_costs_no_contact() {
     use VehicleClass::{Heavy, Light};
-    let found = [
+    let overrides = [
         FarAway {
             spare_m: 1.0,
             onset_s: 6.78,
@@ -143,7 +143,7 @@ fn rounding_far_from_the_origin_costs_no_contact() {
             ..FarAway::from_report(0.5, 3e5, [Heavy, Light])
         },
     ];
-    for far in found {
+    for far in overrides {
         for driver in BuiltInController::all() {
             check_no_collision(&FarAway {
                 driver,

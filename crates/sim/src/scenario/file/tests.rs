@@ -139,8 +139,8 @@ fn a_list_in_place_of_an_object_is_rejected_at_any_depth() {
     for (name, _) in built_in_scenario_names() {
         let whole = serde_json::to_value(built_in_scenario(name).unwrap().spec()).unwrap();
         for (index, changed) in lists(&whole).into_iter().enumerate() {
-            let found = from_json(&changed.to_string(), Path::new("list.json"), &NoDriverFiles);
-            assert!(found.is_err(), "{name}, list {index} is read: {changed}");
+            let parsed = from_json(&changed.to_string(), Path::new("list.json"), &NoDriverFiles);
+            assert!(parsed.is_err(), "{name}, list {index} is read: {changed}");
             if let Ok(toml) = toml::to_string(&changed) {
                 assert!(
                     from_toml(&toml, Path::new("list.toml"), &NoDriverFiles).is_err(),

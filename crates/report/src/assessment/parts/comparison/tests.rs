@@ -30,7 +30,7 @@ fn tested(runs: u64) -> Strength {
     Strength::Tested { runs }
 }
 
-fn found(failures: usize, avoidable: usize) -> Strength {
+fn falsified(failures: usize, avoidable: usize) -> Strength {
     Strength::Falsified {
         failures,
         avoidable,

@@ -292,9 +292,9 @@ mod tests {
                 bytes,
                 "looking changes nothing"
             );
-            let found = going_on();
-            assert_eq!(looked, found);
-            found
+            let left = going_on();
+            assert_eq!(looked, left);
+            left
         };
         assert_eq!(first_damage(&whole), None);
         for bit in 0..8 * whole.len() {
