@@ -49,16 +49,16 @@ fn each_result_is_in_exactly_one_group_of_changes() {
         ("b", tested(2)),
         ("c", tested(1)),
         ("d", tested(1)),
-        ("f", found(10, 10)),
-        ("g", found(10, 10)),
+        ("f", falsified(10, 10)),
+        ("g", falsified(10, 10)),
     ]);
     let now = facts_of(&[
         ("a", tested(2)),
         ("b", tested(1)),
         ("c", tested(1)),
         ("e", tested(1)),
-        ("f", found(11, 9)),
-        ("g", found(10, 9)),
+        ("f", falsified(11, 9)),
+        ("g", falsified(10, 9)),
     ]);
     let comparison = AssessmentComparison::from_facts(&before, &now, true);
     let names = |changes: &[AssessmentChange]| {
@@ -114,13 +114,18 @@ fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
     };
     let proved = Strength::Proved { certificates: 1 };
     let cases = [
-        (found(10, 10), found(11, 9), Some(Less), None),
-        (found(10, 5), found(11, 0), Some(Less), None),
-        (found(10, 10), found(10, 9), None, Some(Less)),
-        (found(10, 10), found(9, 9), Some(Greater), Some(Less)),
-        (found(3, 1), found(3, 1), Some(Equal), Some(Equal)),
-        (found(1, 1), tested(400), Some(Greater), Some(Less)),
-        (found(10, 0), refuted(9, 200), None, None),
+        (falsified(10, 10), falsified(11, 9), Some(Less), None),
+        (falsified(10, 5), falsified(11, 0), Some(Less), None),
+        (falsified(10, 10), falsified(10, 9), None, Some(Less)),
+        (
+            falsified(10, 10),
+            falsified(9, 9),
+            Some(Greater),
+            Some(Less),
+        ),
+        (falsified(3, 1), falsified(3, 1), Some(Equal), Some(Equal)),
+        (falsified(1, 1), tested(400), Some(Greater), Some(Less)),
+        (falsified(10, 0), refuted(9, 200), None, None),
         (refuted(9, 200), refuted(10, 200), Some(Less), Some(Greater)),
         (refuted(9, 200), refuted(8, 199), Some(Greater), Some(Less)),
         (refuted(9, 200), refuted(8, 100), None, Some(Less)),
