@@ -68,8 +68,7 @@ def tables(groups, passing, rate):
                    *(f"{what} against {label(before)}" for what in CHANGED for before in (REFERENCE, COASTING))]
     injuries = [("all", REFERENCE), ("human", REFERENCE), ("baseline", REFERENCE), ("baseline", COASTING)]
     everything = [
-        (label(name), passing.get(name, "–"), share(sum(one.ahead), one.count), share(sum(one.behind), one.count),
-         share(sum(b and not a for a, b in zip(one.ahead, one.behind)), one.count))
+        (label(name), passing.get(name, "–"), share(sum(one.ahead), one.count), share(sum(one.behind), one.count))
         for name, one in every.items()
     ]
     harmed = [(label(name), *(harm(name, before, groups[group]) for group, before in injuries)) for name in every]
@@ -102,8 +101,8 @@ def tables(groups, passing, rate):
         "alone, all": table(alone_heads[1:], [row[1:] for row in alone[-2:]]),
         "assisted": table(assisted_heads, assisted[:-2]),
         "alone": table(alone_heads, alone[:-2]),
-        "all": table(["system", "passes modelled tests", "hits vehicle ahead, %", "hit from behind, %",
-                      "only hit from behind, %"], everything),
+        "all": table(["system", "passes modelled tests", "hits vehicle ahead, %", "hit from behind, %"],
+                     everything),
         "injuries": table(["system", *(f"seriously injured, {group} behind, change per 1000 against {label(before)}"
                                        for group, before in injuries)], harmed),
         "parts": table(["vehicle behind, or speed", "emergencies", *(
