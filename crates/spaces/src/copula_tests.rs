@@ -223,7 +223,8 @@ proptest! {
         seed in 0..1000u64,
     ) {
         let all = space(SPACE).unwrap();
-        let space = space(&SPACE.replace("braking_clusters", &format!("search_share = {share}\nbraking_clusters"))).unwrap();
+        let text = SPACE.replace("braking_clusters", &format!("search_share = {share}\nbraking_clusters"));
+        let space = space(&text).unwrap();
         let evaluated = space.search_point(&point);
         prop_assert!(space.is_in_search_region(&evaluated), "{evaluated:?}");
         prop_assert_eq!(&evaluated[2..], &point[2..], "a parameter that was not observed stays free");
