@@ -29,12 +29,14 @@ fn solve_log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
     if k >= n || !(tail > 0.0 && tail < 1.0) {
         return None;
     }
-    let (wanted, left) = (log(tail), (n - k) as f64);
+    let wanted = log(tail);
+    let left = (n - k) as f64;
     // Start near the median of the rate.
     let mut odds = log((k as f64 + 2.0 / 3.0) / (left - 1.0 / 3.0));
     for step in 0..MAX_STEPS {
         let [p, q] = [1.0 / (1.0 + exp(-odds)), 1.0 / (1.0 + exp(odds))];
-        let (ln_mass, ln_tail) = (ln_pmf(k, n, p, q), ln_cdf(k, n, p, q));
+        let ln_mass = ln_pmf(k, n, p, q);
+        let ln_tail = ln_cdf(k, n, p, q);
         let slope = -left * p * exp(ln_mass - ln_tail);
         let next = odds - (ln_tail - wanted) / slope;
         if !next.is_finite() || (step > 0 && next >= odds) {
@@ -63,7 +65,9 @@ fn ln_cdf(k: u64, n: u64, p: f64, q: f64) -> f64 {
 
 /// Returns P(X <= k)/P(X = k), for k up to the mean.
 fn cdf_to_pmf_ratio(k: u64, n: u64, p: f64, q: f64) -> f64 {
-    let (odds, mut term, mut sum) = (q / p, 1.0, 1.0);
+    let odds = q / p;
+    let mut term = 1.0;
+    let mut sum = 1.0;
     // C(n, i-1)/C(n, i) = i/(n - i + 1).
     for i in (1..=k).rev() {
         term *= i as f64 / (n - i + 1) as f64 * odds;
@@ -97,7 +101,8 @@ fn deviance(x: f64, m: f64) -> f64 {
         return x * log(x / m) + m - x;
     }
     let v = (x - m) / (x + m);
-    let (mut sum, mut power) = ((x - m) * v, 2.0 * x * v);
+    let mut sum = (x - m) * v;
+    let mut power = 2.0 * x * v;
     for odd in (3..200_u32).step_by(2) {
         power *= v * v;
         let next = sum + power / f64::from(odd);

@@ -99,18 +99,13 @@ fn keep_ends(text: &str, most: usize, end: usize) -> Cow<'_, str> {
     if count <= most {
         return Cow::Borrowed(text);
     }
-    let byte_of = |index: usize| {
-        text.char_indices()
-            .nth(index)
-            .map_or(text.len(), |(byte, _)| byte)
-    };
-    let begin = text
-        .get(..byte_of(most.saturating_sub(end + 1)))
-        .unwrap_or_default();
-    Cow::Owned(format!(
-        "{begin}…{}",
-        text.get(byte_of(count - end)..).unwrap_or_default()
-    ))
+    let [begin_end, end_start] = [most.saturating_sub(end + 1), count - end].map(|index| {
+        let mut bytes = text.char_indices().map(|(byte, _)| byte);
+        bytes.nth(index).unwrap_or(text.len())
+    });
+    let begin = text.get(..begin_end).unwrap_or_default();
+    let end = text.get(end_start..).unwrap_or_default();
+    Cow::Owned(format!("{begin}…{end}"))
 }
 
 fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
@@ -147,6 +142,10 @@ impl Display for TerminalLines<'_> {
     }
 }
 
+fn is_in_word(letter: Option<char>) -> bool {
+    letter.is_some_and(char::is_alphanumeric)
+}
+
 impl Display for MarkdownText<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         let text = self.0.trim_start_matches(char::is_whitespace);
@@ -154,7 +153,6 @@ impl Display for MarkdownText<'_> {
             - text
                 .trim_start_matches(|letter: char| letter.is_ascii_digit())
                 .len();
-        let is_word = |letter: Option<char>| letter.is_some_and(char::is_alphanumeric);
         let mut before = None;
         for (place, letter) in text.char_indices() {
             let after = text
@@ -171,7 +169,7 @@ impl Display for MarkdownText<'_> {
             match letter {
                 '\n' | '\r' | '\t' => out.write_char(' ')?,
                 // An underscore within a word has no meaning.
-                '_' if is_word(before) && is_word(after) => out.write_char('_')?,
+                '_' if is_in_word(before) && is_in_word(after) => out.write_char('_')?,
                 // Neither HTML nor an entity begins with these.
                 '<' | '&' if after == Some(' ') => out.write_char(letter)?,
                 '\\' | '`' | '*' | '_' | '<' | '&' | '[' | ']' | '|' | '~' | '$' => {

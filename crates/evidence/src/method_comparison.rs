@@ -251,25 +251,14 @@ impl MethodComparison {
             }
             results.push(MethodRuns::new(method, runs));
         }
-        let pairs = results.iter().enumerate().flat_map(|(index, first)| {
-            let later = results.iter().skip(index + 1);
-            later.map(move |second| MethodPair::new(first, second))
-        });
-        let mut pairs: Vec<MethodPair> = pairs.collect();
-        correct_by_holm(
-            pairs
-                .iter_mut()
-                .flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations])
-                .collect(),
-        );
         Ok(Self {
             controller: campaign.controller.name.clone(),
             space: campaign.space.name().to_owned(),
             specification: campaign.specification.to_string(),
             budget,
             first_seed: campaign.seed,
+            pairs: compare_pairs(&results),
             methods: results,
-            pairs,
         })
     }
 
@@ -323,6 +312,20 @@ impl MethodComparison {
         }
         text
     }
+}
+
+/// Compares all pairs of methods.
+fn compare_pairs(results: &[MethodRuns]) -> Vec<MethodPair> {
+    let pairs = results.iter().enumerate().flat_map(|(index, first)| {
+        let later = results.iter().skip(index + 1);
+        later.map(move |second| MethodPair::new(first, second))
+    });
+    let mut pairs: Vec<MethodPair> = pairs.collect();
+    let tests = pairs
+        .iter_mut()
+        .flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations]);
+    correct_by_holm(tests.collect());
+    pairs
 }
 
 /// Corrects p-values for their number. Source: Holm 1979, "A simple sequentially rejective multiple test procedure",

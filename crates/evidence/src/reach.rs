@@ -187,6 +187,13 @@ impl PartitionNode {
     }
 }
 
+fn with_ranges<'a>(problem: &ReachProblem<'a>, ranges: InitialRanges) -> ReachProblem<'a> {
+    ReachProblem {
+        ranges,
+        ..problem.clone()
+    }
+}
+
 /// Boxes of a partition. The first is the whole box.
 struct PartitionTree {
     nodes: Vec<PartitionNode>,
@@ -229,6 +236,15 @@ impl PartitionTree {
             self.nodes.extend(halves.map(PartitionNode::new));
         }
         children..self.nodes.len()
+    }
+
+    /// Returns the smallest gap, rounded down to micrometres, so that other rounding in another version keeps the proof.
+    fn min_gap_m_at_least(&self) -> f64 {
+        if self.min_gap_m.is_finite() {
+            (self.min_gap_m * 1e6).floor() / 1e6
+        } else {
+            0.0
+        }
     }
 
     /// Returns the cells in the order of the certificate: each before its halves, the lower half first.
@@ -401,12 +417,7 @@ impl ReachPlan {
         for level in 0..=depth {
             let results: Vec<ReachResult> = due
                 .par_iter()
-                .map(|&node| {
-                    reach(&ReachProblem {
-                        ranges: tree.nodes[node].ranges,
-                        ..problem.clone()
-                    })
-                })
+                .map(|&node| reach(&with_ranges(&problem, tree.nodes[node].ranges)))
                 .collect();
             let mut next = Vec::new();
             for (&node, result) in due.iter().zip(results) {
@@ -443,10 +454,7 @@ impl ReachPlan {
         let points = undecided
             .par_iter()
             .map(|&node| {
-                let cell = ReachProblem {
-                    ranges: nodes[node].ranges,
-                    ..problem.clone()
-                };
+                let cell = with_ranges(problem, nodes[node].ranges);
                 self.find_collision(&cell, node as u64)
             })
             .collect::<Result<Vec<_>, _>>()?;
@@ -489,26 +497,19 @@ impl ReachPlan {
         mut shares: Vec<VolumeShares>,
         begin: Instant,
     ) -> Partition {
-        let gap_m = tree.min_gap_m;
         let mut claim = ReachClaim {
             partition: tree.cells(),
-            // Rounded down to micrometres, so that other rounding in another version keeps the proof.
-            min_gap_m_at_least: if gap_m.is_finite() {
-                (gap_m * 1e6).floor() / 1e6
-            } else {
-                0.0
-            },
+            min_gap_m_at_least: tree.min_gap_m_at_least(),
             ..self.claim.clone()
         };
         // Shares as the checker computes them, rounded down for unequal halves.
         let [verified, falsified] = claim.volume_shares().unwrap_or_default();
-        (
-            claim.verified_share_at_least,
-            claim.falsified_share_at_least,
-        ) = (verified, falsified);
+        claim.verified_share_at_least = verified;
+        claim.falsified_share_at_least = falsified;
         if let Some(last) = shares.last_mut() {
-            (last.verified, last.falsified, last.undecided) =
-                (verified, falsified, 1.0 - verified - falsified);
+            last.verified = verified;
+            last.falsified = falsified;
+            last.undecided = 1.0 - verified - falsified;
             last.seconds = begin.elapsed().as_secs_f64();
         }
         let [scenario, spec] = self.texts.clone();

@@ -185,36 +185,28 @@ impl CountRecord {
     pub fn certificate(&self, tally: &CountTally) -> Certificate {
         let registration = self.registration.clone();
         let registration_sha256 = registration.digest();
+        let blocks = tally.blocks.iter();
         let statement = if self.is_comparison() {
+            let blocks = blocks.map(|block| {
+                let failed = [block.only_first_failed, block.only_second_failed];
+                (failed, block.sha256.clone())
+            });
             Statement::Comparison(ComparisonClaim {
                 registration,
                 registration_sha256,
                 only_first_failed: tally.only_first_failed,
                 only_second_failed: tally.only_second_failed,
-                blocks: tally
-                    .blocks
-                    .iter()
-                    .map(|block| {
-                        (
-                            [block.only_first_failed, block.only_second_failed],
-                            block.sha256.clone(),
-                        )
-                    })
-                    .collect(),
+                blocks: blocks.collect(),
             })
         } else {
-            let rate_at_most = self.rate_at_most(tally.failures);
-            let blocks = tally
-                .blocks
-                .iter()
-                .map(|block| (block.failures, block.sha256.clone()))
-                .collect();
             Statement::Rate(RateClaim {
                 registration,
                 registration_sha256,
                 failures: tally.failures,
-                rate_at_most,
-                blocks,
+                rate_at_most: self.rate_at_most(tally.failures),
+                blocks: blocks
+                    .map(|block| (block.failures, block.sha256.clone()))
+                    .collect(),
             })
         };
         let space = self

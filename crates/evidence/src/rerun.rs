@@ -165,11 +165,9 @@ impl Rerun {
             Some(controllers) => controllers,
             None => {
                 let first = find_given(given, registration, "controller")?;
-                let second = match registration.configuration.get("against") {
-                    None => None,
-                    Some(_) => Some(find_given(given, registration, "against")?),
-                };
-                (first, second)
+                let is_comparison = registration.configuration.contains_key("against");
+                let second = is_comparison.then(|| find_given(given, registration, "against"));
+                (first, second.transpose()?)
             }
         };
         let plan = binding::rebuild_plan(certificate, registration, controllers, opener)?;

@@ -57,14 +57,7 @@ pub(super) fn check_script_limits(
     };
     let [lowest, highest] = match profile {
         LeadProfile::Recorded(recorded) => {
-            let speed_mps = leader.speed_mps;
-            let recorded_mps = recorded.speed_at_mps(0.0);
-            if speed_mps != recorded_mps {
-                return Err(ScriptBeyondLimit::OtherSpeed {
-                    speed_mps,
-                    recorded_mps,
-                });
-            }
+            check_recorded_speed(leader.speed_mps, recorded)?;
             slopes_mps2(recorded, horizon_s)
         }
         LeadProfile::Pieces(pieces) => {
@@ -95,6 +88,20 @@ pub(super) fn check_script_limits(
             limit_mps2,
         })
     }
+}
+
+fn check_recorded_speed(
+    speed_mps: f64,
+    recorded: &RecordedSpeeds,
+) -> Result<(), ScriptBeyondLimit> {
+    let recorded_mps = recorded.speed_at_mps(0.0);
+    if speed_mps == recorded_mps {
+        return Ok(());
+    }
+    Err(ScriptBeyondLimit::OtherSpeed {
+        speed_mps,
+        recorded_mps,
+    })
 }
 
 /// Returns the smallest and largest slope of recorded speeds, including 0, rounded outward, in m/s².

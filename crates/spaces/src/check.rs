@@ -8,7 +8,7 @@ use super::copula::Copula;
 use super::field::{FieldTarget, VehicleField};
 use super::invalid::{InvalidSpace, SpaceProblem, reject};
 use super::region::LikelihoodRegion;
-use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec};
+use super::spec::{Base, ParameterValue, SPACE_VERSION, SpaceSpec};
 use super::{ScenarioSpace, SpaceParameter};
 use crumple_core::digits::format_compact;
 use crumple_core::format_version::check_version;
@@ -84,8 +84,8 @@ impl ScenarioSpace {
 
     /// Creates a space whose parameters are not checked yet.
     fn without_parameters(spec: SpaceSpec, base: &Scenario) -> Self {
-        let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
-        let uses_gaps = !spec.parameters.iter().any(is_place);
+        let mut fields = spec.parameters.iter().map(|parameter| &parameter.field);
+        let uses_gaps = !fields.any(|field| field.ends_with(".position_m"));
         let mut template = base.spec().clone();
         if uses_gaps {
             for (index, vehicle) in template.vehicles.iter_mut().enumerate() {
@@ -150,14 +150,11 @@ impl ScenarioSpace {
     /// since the worst case of each is an end of its range.
     fn check_corners(&self) -> Result<(), InvalidSpace> {
         for vehicle in 0..self.template.vehicles.len() {
-            let near = |parameter: &&SpaceParameter| {
-                let collided = parameter.target.affected_vehicle();
-                let of_all = matches!(parameter.target, FieldTarget::AllVehicles(_));
-                of_all
-                    || collided
-                        .is_some_and(|collided| collided == vehicle || collided + 1 == vehicle)
-            };
-            let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();
+            let parameters: Vec<&SpaceParameter> = self
+                .parameters
+                .iter()
+                .filter(|parameter| parameter.target.affects_gap_ahead(vehicle))
+                .collect();
             if parameters.len() > MAX_CORNER_PARAMETERS {
                 let found = parameters.len();
                 let problem = format!(

@@ -208,8 +208,10 @@ impl HistogramSpec {
 
 /// Returns the probabilities of relative weights.
 fn normalize(weights: &[f64], path: &str) -> Result<Vec<f64>, InvalidSpace> {
-    let is_usable = |weight: f64| weight >= 0.0 && weight.is_finite();
-    if let Some(weight) = weights.iter().find(|weight| !is_usable(**weight)) {
+    if let Some(weight) = weights
+        .iter()
+        .find(|&&weight| !(weight >= 0.0 && weight.is_finite()))
+    {
         return reject(
             path,
             format!("must be finite numbers from 0, found {weight}"),
@@ -235,7 +237,8 @@ impl PointMassSpec {
             let problem = format!("must be from 0, below 1, found {found}");
             return reject(".point-mass.probability", problem);
         }
-        let (low, high) = (others.low(), others.high());
+        let low = others.low();
+        let high = others.high();
         if !at.is_finite() || (at > low && at < high) {
             let [low, high, found] = [low, high, at].map(format_compact);
             let problem = format!(

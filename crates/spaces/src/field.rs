@@ -338,8 +338,16 @@ impl FieldTarget {
         }
     }
 
+    /// True if the field may change the position or limits of a vehicle, or of the one ahead of it.
+    pub(super) fn affects_gap_ahead(self, vehicle: usize) -> bool {
+        matches!(self, Self::AllVehicles(_))
+            || self
+                .affected_vehicle()
+                .is_some_and(|affected| affected == vehicle || affected + 1 == vehicle)
+    }
+
     /// Returns the vehicle whose limits or position the field changes, if that can make a scenario invalid.
-    pub(super) fn affected_vehicle(self) -> Option<usize> {
+    fn affected_vehicle(self) -> Option<usize> {
         match self {
             Self::Scenario(_) | Self::Fault(_) | Self::AllVehicles(_) => None,
             Self::Vehicle(_, VehicleField::Gap | VehicleField::PiecesOnset) => None,

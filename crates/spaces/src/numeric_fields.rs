@@ -250,10 +250,8 @@ pub(super) fn known_fields_text() -> String {
         .map(|(name, ..)| *name)
         .filter(|name| !name.starts_with("driver."));
     let vehicle = VEHICLE_FIELDS.iter().map(|(name, ..)| *name).chain(derived);
-    let (scenario, vehicle) = (
-        scenario.collect::<Vec<_>>().join(", "),
-        vehicle.collect::<Vec<_>>().join(", "),
-    );
+    let scenario = scenario.collect::<Vec<_>>().join(", ");
+    let vehicle = vehicle.collect::<Vec<_>>().join(", ");
     format!(
         "there are {scenario}, and in vehicles[i]: {vehicle}, enters.WHEN, leaves.WHEN, driver.NAME.SETTING"
     )

@@ -214,6 +214,11 @@ impl ObservedData {
                 format!("is {stated}, and {episodes} are observed"),
             );
         }
+        self.check_parameters(space)
+    }
+
+    /// Checks that the observed parameters are different ones of the space, with one value for each episode.
+    fn check_parameters(&self, space: &SpaceSpec) -> Result<(), InvalidSpace> {
         if self.parameters.is_empty() {
             return reject("observed.parameters", "must have at least one");
         }
@@ -230,7 +235,7 @@ impl ObservedData {
             if earlier.any(|earlier| earlier.name == *name) {
                 return reject(format!("{path}.name"), format!("`{name}` is named twice"));
             }
-            parameter.check_values(&path, episodes)?;
+            parameter.check_values(&path, self.braking_clusters.len())?;
         }
         Ok(())
     }

@@ -74,7 +74,8 @@ impl ControllerFileDraft<'_> {
         let quantity = own
             .and_then(|own| own.quantity)
             .unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
-        let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
+        let mut offset = own.map_or(0.0, |own| own.offset);
+        let mut scale = own.map_or(1.0, |own| own.scale);
         let space = self
             .network
             .saved_model()

@@ -127,11 +127,11 @@ fn refit_to_resample(
     Some((index, refitted))
 }
 
-fn refit_to_resamples(
+/// Returns the data of a space, if enough resamples are requested and the space is as it was fitted.
+fn check_resampling(
     space: &ScenarioSpace,
-    seed: u64,
     resamples: u32,
-) -> Result<RefittedSpaces, ResamplingError> {
+) -> Result<&ObservedData, ResamplingError> {
     match resamples {
         0 => return Err(ResamplingError::NotRequested),
         1..MIN_RESAMPLES => {
@@ -141,18 +141,25 @@ fn refit_to_resamples(
         }
         _ => {}
     }
-    let observed = space
-        .spec()
-        .observed
-        .as_ref()
-        .ok_or(ResamplingError::NoData)?;
-    let what = match find_edit(space, observed) {
-        Ok(what) => what.map(|name| format!("`{name}`")),
-        Err(why) => Some(format!("the space ({why})")),
-    };
-    if let Some(what) = what {
-        return Err(ResamplingError::Edited { what });
+    let observed = space.spec().observed.as_ref();
+    let observed = observed.ok_or(ResamplingError::NoData)?;
+    match find_edit(space, observed) {
+        Ok(None) => Ok(observed),
+        Ok(Some(name)) => Err(ResamplingError::Edited {
+            what: format!("`{name}`"),
+        }),
+        Err(why) => Err(ResamplingError::Edited {
+            what: format!("the space ({why})"),
+        }),
     }
+}
+
+fn refit_to_resamples(
+    space: &ScenarioSpace,
+    seed: u64,
+    resamples: u32,
+) -> Result<RefittedSpaces, ResamplingError> {
+    let observed = check_resampling(space, resamples)?;
     let mut spaces: Vec<(u64, ScenarioSpace)> = (0..u64::from(resamples))
         .into_par_iter()
         .filter_map(|index| refit_to_resample(space, observed, seed, index))
@@ -201,13 +208,9 @@ pub fn count_on_resamples<E>(
         within += share * (1.0 - share) / (n - 1.0).max(1.0);
         shares.push(share);
         let u: f64 = stream(seed, Purpose::Resampling, DRAW_STREAM_OFFSET + index).random();
-        // Jeffreys' posterior, with exact ends (Brown, Cai and DasGupta, Statistical Science 16, 2001).
-        let posterior = Beta::new(failed + 0.5, n - failed + 0.5);
-        let sample = posterior.map_or(share, |posterior| {
-            posterior.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))
-        });
-        bounds[0].push(if failed == 0.0 { 0.0 } else { sample });
-        bounds[1].push(if failed == n { 1.0 } else { sample });
+        let [lower, upper] = posterior_bounds(failed, n, u);
+        bounds[0].push(lower);
+        bounds[1].push(upper);
     }
     Ok(Ok(Resamples::new(
         &shares,
@@ -218,8 +221,8 @@ pub fn count_on_resamples<E>(
     )))
 }
 
-/// Estimates the probability in spaces that are fitted to resamples; `estimate` takes a space and a seed. The inner error
-/// is the reason why data uncertainty is unknown. Reweighting the failed runs of the fitted space would cost no
+/// Estimates the probability in spaces that are fitted to resamples; `estimate` takes a space and a seed. The inner
+/// error is the reason why data uncertainty is unknown. Reweighting the failed runs of the fitted space would cost no
 /// simulations, but was unusable: at a probability of 10⁻⁶ one run had all the weight, and other kinds of failures were
 /// not among the runs.
 ///
@@ -264,6 +267,19 @@ pub(crate) fn estimate_on_resamples<E>(
         refitted.unfit,
         None,
     )))
+}
+
+/// Returns the quantile at `u` of Jeffreys' posterior of a probability, with exact ends (Brown, Cai and DasGupta,
+/// Statistical Science 16, 2001), once as a lower and once as an upper bound.
+fn posterior_bounds(failed: f64, runs: f64, u: f64) -> [f64; 2] {
+    let posterior = Beta::new(failed + 0.5, runs - failed + 0.5);
+    let sample = posterior.map_or(failed / runs, |posterior| {
+        posterior.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))
+    });
+    [
+        if failed == 0.0 { 0.0 } else { sample },
+        if failed == runs { 1.0 } else { sample },
+    ]
 }
 
 fn sample_variance(values: &[f64]) -> f64 {

@@ -272,38 +272,29 @@ impl EpisodeCollector {
             return Err(self.too_few_episodes_error(needed, most_out_of_range));
         }
         check_episode_count(episodes)?;
-        let EpisodeCollector {
-            extraction,
-            features,
-            clusters,
-            columns,
-            sources,
-            exclusions,
-            ..
-        } = self;
+        let sources = &self.sources;
         let exposure = DrivingExposure {
             episodes: episodes as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
-            undescribed_brakings: exclusions.count_in_exposure() as u64,
-            sources,
+            undescribed_brakings: self.exclusions.count_in_exposure() as u64,
+            sources: self.sources,
         };
+        let columns = self.features.iter().zip(self.columns);
         let observed = ObservedData {
-            braking_clusters: renumber_clusters(&clusters),
+            braking_clusters: renumber_clusters(&self.clusters),
             search_share: Some(SEARCH_SHARE),
-            parameters: features
-                .iter()
-                .zip(columns)
+            parameters: columns
                 .map(|(feature, values)| feature.with_values(values))
                 .collect(),
         };
         Ok(EpisodeSample {
-            extraction,
-            features,
+            extraction: self.extraction,
+            features: self.features,
             observed,
             exposure,
             sizes,
-            exclusions,
+            exclusions: self.exclusions,
             most_out_of_range,
         })
     }

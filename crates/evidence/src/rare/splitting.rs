@@ -196,42 +196,54 @@ impl SplittingLevels {
             reaches_failure: false,
             pilot_levels: Vec::new(),
         };
-        let mut probability = 1.0;
-        loop {
-            let last = pilot.stages.last();
-            let step = last.map_or(FIRST_STEP, |stage| stage.step);
-            let threshold_before = last.map_or(f64::INFINITY, |stage| stage.threshold);
-            let threshold = match NextLevel::place(&population, samples, threshold_before) {
-                NextLevel::Failure => {
-                    pilot.stages.push(SplittingStage::LAST);
-                    pilot.reaches_failure = true;
-                    break;
-                }
-                NextLevel::Threshold(threshold) if pilot.stages.len() < MAX_LEVELS => threshold,
-                NextLevel::Threshold(_) | NextLevel::Stuck => break,
-            };
-            let mut stage = SplittingStage {
-                threshold,
-                is_last: false,
-                step,
-            };
+        while let Some(mut stage) = pilot.place_next_stage(&population, samples) {
             let survivors = stage.survivors(population);
             let share = survivors.len() as f64 / samples as f64;
-            probability *= share;
             population = particles.resample(survivors);
             let moves = particles.move_and_adapt_step(&mut population, &mut stage)?;
-            pilot.stages.push(stage);
+            let probability_before = pilot
+                .pilot_levels
+                .last()
+                .map_or(1.0, |level| level.probability);
             pilot.pilot_levels.push(Level {
-                margin: threshold,
-                probability,
+                margin: stage.threshold,
+                probability: probability_before * share,
                 share,
                 step: Some(stage.step),
                 acceptance: Some(moves.acceptance()),
                 ..Level::default()
             });
+            pilot.stages.push(stage);
         }
         pilot.pilot_runs = particles.evaluations;
         Ok(pilot)
+    }
+
+    /// Returns the next stage, before its step is adapted. At a failure, or if no level can follow, returns `None`,
+    /// after it has added the last stage if there is one.
+    fn place_next_stage(
+        &mut self,
+        population: &[Particle],
+        samples: usize,
+    ) -> Option<SplittingStage> {
+        let before = self.stages.last();
+        let step = before.map_or(FIRST_STEP, |stage| stage.step);
+        let threshold_before = before.map_or(f64::INFINITY, |stage| stage.threshold);
+        match NextLevel::place(population, samples, threshold_before) {
+            NextLevel::Failure => {
+                self.stages.push(SplittingStage::LAST);
+                self.reaches_failure = true;
+                None
+            }
+            NextLevel::Threshold(threshold) if self.stages.len() < MAX_LEVELS => {
+                Some(SplittingStage {
+                    threshold,
+                    is_last: false,
+                    step,
+                })
+            }
+            NextLevel::Threshold(_) | NextLevel::Stuck => None,
+        }
     }
 
     /// True if the pilot reached a failure.

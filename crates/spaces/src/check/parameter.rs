@@ -166,11 +166,12 @@ fn check_overlap(field: &ParameterField, written: &[WrittenPath]) -> Result<(), 
 
 /// Returns true if the paths are equal or one contains the other.
 fn is_overlapping(a: &str, b: &str) -> bool {
-    let is_part = |part: &str, whole: &str| {
-        part.strip_prefix(whole)
-            .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-    };
     is_part(a, b) || is_part(b, a)
+}
+
+fn is_part(part: &str, whole: &str) -> bool {
+    part.strip_prefix(whole)
+        .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
 fn check_kind(spec: &ParameterSpec, kind: ValueKind) -> Result<(), InvalidSpace> {
@@ -199,10 +200,10 @@ fn check_nominal(
     nominal: &[f64],
     marginal: &CoordinateMarginal,
 ) -> Result<(), InvalidSpace> {
-    let deviation = |value: f64| marginal.value(marginal.coordinate(value)) - value;
-    let is_off =
-        |value: f64| !value.is_finite() || deviation(value).abs() > 1e-9 * (1.0 + value.abs());
-    let Some(value) = nominal.iter().find(|value| is_off(**value)) else {
+    let Some(value) = nominal.iter().find(|&&value| {
+        let deviation = marginal.value(marginal.coordinate(value)) - value;
+        !value.is_finite() || deviation.abs() > 1e-9 * (1.0 + value.abs())
+    }) else {
         return Ok(());
     };
     let found = format_compact(*value);

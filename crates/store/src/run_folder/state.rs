@@ -48,7 +48,9 @@ impl Prefix {
             None if self.bytes == 0 => return Ok(Ok(())),
             None => return Ok(Err(MISSING_FILE_MESSAGE.to_owned())),
         };
-        let (mut digest, mut part, mut left) = (Sha256::default(), vec![0; 1 << 16], self.bytes);
+        let mut digest = Sha256::default();
+        let mut part = vec![0; 1 << 16];
+        let mut left = self.bytes;
         loop {
             let count = file.read(&mut part).map_err(unreadable)?;
             if count == 0 {
