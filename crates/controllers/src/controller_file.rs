@@ -255,7 +255,7 @@ pub fn file_name(controller: &NetworkController) -> String {
 
 /// Returns true for a regular file: reading a device or a pipe may never end.
 pub(crate) fn is_regular_file(path: &Path) -> bool {
-    fs::metadata(path).is_ok_and(|found| found.is_file())
+    fs::metadata(path).is_ok_and(|metadata| metadata.is_file())
 }
 
 /// Loads a network without controller file, with the mapping of crumple's own policies.

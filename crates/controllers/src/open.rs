@@ -130,9 +130,9 @@ pub fn find_for_user(name: &str, folder: &Path) -> Result<NamedController, Unkno
 /// # Errors
 /// [`UnknownController`], as for [`find_for_user`], and [`UnknownController::NotStarted`].
 pub fn find_and_try(name: &str, folder: &Path) -> Result<NamedController, UnknownController> {
-    let found = find_for_user(name, folder)?;
-    found.try_start()?;
-    Ok(found)
+    let controller = find_for_user(name, folder)?;
+    controller.try_start()?;
+    Ok(controller)
 }
 
 fn find(
@@ -181,28 +181,28 @@ fn open_file(
     folder: &Path,
     named_by: NameOrigin,
 ) -> Result<Arc<dyn ControllerSource>, UnknownController> {
-    let place = folder.join(name);
-    let is_network = NetworkFile::is_network(&place);
+    let path = folder.join(name);
+    let is_network = NetworkFile::is_network(&path);
     if let Some(program) = not_a_controller(name, folder).filter(|_| !is_network) {
         return Err(program);
     }
     if Path::new(name).extension().is_none() && !is_network {
-        if let Some(file) = file_with_extension(&place, name) {
+        if let Some(file) = file_with_extension(&path, name) {
             return Err(UnknownController::MissingExtension {
                 name: name.to_owned(),
                 file,
             });
         }
-        let known: Vec<_> = BuiltInController::all()
+        let names: Vec<_> = BuiltInController::all()
             .iter()
             .map(BuiltInController::name)
             .collect();
         return Err(UnknownController::UnknownName {
             name: name.to_owned(),
-            built_in_names: known.join(", "),
+            built_in_names: names.join(", "),
         });
     }
-    Ok(controller_file::load(&place, named_by)?)
+    Ok(controller_file::load(&path, named_by)?)
 }
 
 /// Returns the file that a name without extension may mean.

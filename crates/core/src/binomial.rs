@@ -6,7 +6,8 @@
 
 use libm::{exp, log, log1p};
 
-/// Outward shift of an end in log-odds; exceeds the rounding error, which `ends_are_never_inside` shows.
+/// Outward shift of an end in log-odds; exceeds the rounding error, which
+/// `interval_ends_are_never_inside_the_exact_ones` shows.
 const ROUNDING_MARGIN: f64 = 1e-12;
 
 /// Returns the rate at which P(X <= `failures`) is `tail`, rounded up; 1 if there is none.
@@ -137,18 +138,18 @@ mod tests {
     use crumple_verify::rate::binomial_tail_upper_bound;
     use proptest::prelude::*;
 
-    fn assert_end(found: f64, exact: f64, outwards: f64) {
-        let beyond = outwards * (found - exact) / exact;
+    fn assert_end(computed: f64, exact: f64, outwards: f64) {
+        let beyond = outwards * (computed - exact) / exact;
         assert!(
             (-1e-15..1e-11).contains(&beyond),
-            "{found:e} {exact:e}: {beyond:e}"
+            "{computed:e} {exact:e}: {beyond:e}"
         );
     }
 
     /// Reference: bisection with 50 digits, or closed forms. scipy 1.16 agrees to 15 digits, except for the upper end
     /// of 12 of 2·10⁷, where it is relatively 6·10⁻¹¹ too low.
     #[test]
-    fn ends_are_those_of_clopper_and_pearson() {
+    fn interval_ends_match_clopper_and_pearson() {
         for (failures, runs, tail, ends) in [
             (
                 3,
@@ -210,7 +211,7 @@ mod tests {
 
         /// Compares with the checker's tail, which rounds upwards by at most eight units in the last place per run.
         #[test]
-        fn ends_are_never_inside(
+        fn interval_ends_are_never_inside_the_exact_ones(
             runs in prop_oneof![1..50_u64, 50..3000_u64, 3000..2_000_000_u64],
             share in prop_oneof![0.0..1.0_f64, 0.0..1e-3_f64],
             tail in prop_oneof![1e-3..0.5_f64, 1e-9..1e-3_f64],

@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn infinite_numbers_come_back() {
+    fn infinite_numbers_survive_writing_and_reading() {
         for (one, other) in [
             (f64::NEG_INFINITY, None),
             (f64::INFINITY, Some(f64::NEG_INFINITY)),

@@ -256,7 +256,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn nothing_hidden_reaches_a_reader_and_json_means_the_same(text in hostile_text()) {
+        fn hidden_characters_are_escaped_and_json_keeps_its_meaning(text in hostile_text()) {
             prop_assert!(!TerminalText(&text).to_string().chars().any(is_hidden));
             prop_assert!(!TerminalLines(&text).to_string().chars().any(|c| is_hidden(c) && !"\n\t".contains(c)));
             let json = serde_json::to_string(&text).unwrap();
@@ -264,7 +264,7 @@ mod tests {
         }
 
         #[test]
-        fn a_shell_reads_each_word_as_it_was(words in prop::collection::vec(hostile_text(), 0..5)) {
+        fn a_shell_reads_quoted_words_unchanged(words in prop::collection::vec(hostile_text(), 0..5)) {
             let words: Vec<String> = words.into_iter().map(|word| word.replace('\0', "")).collect();
             let line = words.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ");
             prop_assert_eq!(shlex::split(&line).unwrap(), words);
@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn each_place_is_quoted_for() {
+    fn text_is_quoted_for_each_output_format() {
         assert_eq!(
             TerminalText("a\u{1b}[2J\nb").to_string(),
             "a\\u001b[2J\\u000ab"

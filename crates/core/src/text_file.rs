@@ -196,15 +196,15 @@ fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
 
 /// Returns the text or number that a message of serde names where a list is required.
 fn single_item(message: &str) -> Option<&str> {
-    let found = message
+    let value = message
         .strip_prefix("invalid type: ")?
         .strip_suffix(", expected a sequence")?;
-    if let Some(text) = found.strip_prefix("string ") {
+    if let Some(text) = value.strip_prefix("string ") {
         return Some(text);
     }
-    found
+    value
         .strip_prefix("integer `")
-        .or_else(|| found.strip_prefix("floating point `"))?
+        .or_else(|| value.strip_prefix("floating point `"))?
         .strip_suffix('`')
 }
 
@@ -213,7 +213,7 @@ fn prefix_field(field: &str, message: &str) -> String {
     // `serde_path_to_error` ends the path with `?` where the text ends.
     let field = field
         .strip_suffix('?')
-        .map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
+        .map_or(field, |path| path.strip_suffix('.').unwrap_or(path));
     if field.is_empty() || field == "." {
         message.to_owned()
     } else {

@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn measures_and_tests_by_hand() {
+    fn measures_and_tests_match_those_by_hand() {
         let first = result(
             "first",
             &[Some(4), Some(2), Some(9), Some(1), None, Some(5)],

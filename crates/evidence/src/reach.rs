@@ -238,7 +238,8 @@ impl PartitionTree {
         children..self.nodes.len()
     }
 
-    /// Returns the smallest gap, rounded down to micrometres, so that other rounding in another version keeps the proof.
+    /// Returns the smallest gap, rounded down to micrometres, so that other rounding in another version keeps the
+    /// proof.
     fn min_gap_m_at_least(&self) -> f64 {
         if self.min_gap_m.is_finite() {
             (self.min_gap_m * 1e6).floor() / 1e6

@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn scripts_within_a_limit_are_those_of_a_leader_that_brakes_as_it_likes() {
+    fn scripts_within_a_limit_brake_at_most_as_hard_in_each_step() {
         for profile in allowed_profiles() {
             assert_eq!(check_profile(profile.clone()), Ok(()), "{profile:?}");
             let mut speed_mps = SPEED_MPS;

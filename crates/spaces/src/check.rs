@@ -52,14 +52,14 @@ impl ScenarioSpace {
         check_header(&spec)?;
         let base = load_base(&spec.base, folder, opener)?;
         spec.base = Base::Inline(Box::new(base.spec().clone()));
-        let found = spec.parameters.len();
-        if !(1..=MAX_PARAMETERS).contains(&found) {
-            let problem = format!("must be 1 to {MAX_PARAMETERS}, found {found}");
+        let count = spec.parameters.len();
+        if !(1..=MAX_PARAMETERS).contains(&count) {
+            let problem = format!("must be 1 to {MAX_PARAMETERS}, found {count}");
             return reject("parameters", problem);
         }
         let mut space = Self::without_parameters(spec, &base);
         let mut written = Vec::new();
-        for index in 0..found {
+        for index in 0..count {
             space.add_parameter(index, &mut written)?;
         }
         space.check_coordinates()?;
@@ -105,9 +105,9 @@ impl ScenarioSpace {
 
     /// Checks the number and the names of the coordinates.
     fn check_coordinates(&self) -> Result<(), InvalidSpace> {
-        let found = self.dimension();
-        if found > MAX_COORDINATES {
-            let problem = format!("must have at most {MAX_COORDINATES} coordinates, found {found}");
+        let count = self.dimension();
+        if count > MAX_COORDINATES {
+            let problem = format!("must have at most {MAX_COORDINATES} coordinates, found {count}");
             return reject("parameters", problem);
         }
         let names = self.coordinate_names();
@@ -156,9 +156,9 @@ impl ScenarioSpace {
                 .filter(|parameter| parameter.target.affects_gap_ahead(vehicle))
                 .collect();
             if parameters.len() > MAX_CORNER_PARAMETERS {
-                let found = parameters.len();
+                let count = parameters.len();
                 let problem = format!(
-                    "at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}"
+                    "at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {count}"
                 );
                 return reject("parameters", problem);
             }
@@ -231,12 +231,10 @@ fn load_base(
 }
 
 fn unknown_base(name: &str) -> String {
-    let known: Vec<_> = built_in_scenario_names()
-        .iter()
-        .map(|(name, _)| *name)
-        .collect();
-    let known = known.join(", ");
-    format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file")
+    let built_in = built_in_scenario_names();
+    let names: Vec<_> = built_in.iter().map(|(name, _)| *name).collect();
+    let names = names.join(", ");
+    format!("`{name}` is neither a built-in scenario ({names}) nor a .toml or .json file")
 }
 
 /// Returns the problem of a base scenario in a file. A program that it names is refused with the line of its name.

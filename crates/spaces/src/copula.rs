@@ -64,11 +64,11 @@ impl Copula {
             .cholesky()
             .filter(|_| least >= MIN_EIGENVALUE)
         else {
-            let found = format_compact(least);
+            let eigenvalue = format_compact(least);
             return reject(
                 CORRELATION,
                 format!(
-                    "must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {found}"
+                    "must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {eigenvalue}"
                 ),
             );
         };

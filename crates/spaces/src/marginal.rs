@@ -57,12 +57,12 @@ enum MixturePosition {
 }
 
 impl MixturePosition {
-    fn from_unit(place: f64, slice: f64, is_first: bool) -> Self {
+    fn from_unit(unit: f64, slice: f64, is_first: bool) -> Self {
         match is_first {
-            true if place < slice => Self::PointMass(place / slice),
-            true => Self::Others(((place - slice) / (1.0 - slice)).min(1.0)),
-            false if place > 1.0 - slice => Self::PointMass((place - (1.0 - slice)) / slice),
-            false => Self::Others((place / (1.0 - slice)).min(1.0)),
+            true if unit < slice => Self::PointMass(unit / slice),
+            true => Self::Others(((unit - slice) / (1.0 - slice)).min(1.0)),
+            false if unit > 1.0 - slice => Self::PointMass((unit - (1.0 - slice)) / slice),
+            false => Self::Others((unit / (1.0 - slice)).min(1.0)),
         }
     }
 

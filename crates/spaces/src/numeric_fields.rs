@@ -98,9 +98,9 @@ pub(super) const LANE_CHANGES: [(&str, LaneChangeAccessor); 2] = [
     ("leaves.", |vehicle| vehicle.leaves.as_mut()),
 ];
 
-pub(super) fn setting_mut(driver: &mut Driver, place: usize) -> Option<&mut f64> {
+pub(super) fn setting_mut(driver: &mut Driver, index: usize) -> Option<&mut f64> {
     if let Driver::Controller(spec) = driver {
-        spec.get_mut(place)
+        spec.get_mut(index)
     } else {
         None
     }

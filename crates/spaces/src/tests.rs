@@ -114,11 +114,11 @@ fn the_paper_space_has_the_distribution_of_the_paper() {
     // Two samples of one distribution exceed this distance once in about 10 000 times.
     let limit = 2.2 * (2.0 / DRAWS as f64).sqrt();
     for (name, of) in quantities {
-        let found = ks_distance(
+        let distance = ks_distance(
             ours.iter().map(of).collect(),
             theirs.iter().map(of).collect(),
         );
-        assert!(found < limit, "{name}: {found}");
+        assert!(distance < limit, "{name}: {distance}");
     }
     let (ours, theirs) = (ours[0].spec(), theirs[0].spec());
     assert_eq!(
@@ -172,16 +172,16 @@ fn dependent_speeds_and_gaps_match_their_definition() {
         &NoDriverFiles,
     )
     .unwrap();
-    let found = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
+    let scenario = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
     assert_eq!(
-        [0, 1].map(|index| found.vehicles()[index].speed_mps),
+        [0, 1].map(|index| scenario.vehicles()[index].speed_mps),
         [15.0, 30.0]
     );
     assert!(
-        (found.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9,
+        (scenario.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9,
         "3 s at 15 m/s"
     );
-    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &found.vehicles()[0].driver else {
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &scenario.vehicles()[0].driver else {
         panic!("a script")
     };
     assert!((brake.final_speed_mps - 6.0).abs() < 1e-12);
@@ -351,7 +351,7 @@ proptest! {
 /// The space separates controllers: reference drivers pass without hard braking, a policy rewarded only for avoiding
 /// collisions does not.
 #[test]
-fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
+fn everyday_traffic_reveals_unnecessary_hard_braking() {
     let space = space("traffic");
     let scenarios: Vec<_> = (0..200)
         .map(|index| space.draw(1, index).unwrap())
@@ -385,10 +385,10 @@ fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
                 .unnecessary
                 .is_empty()
         });
-        let found = needless.into_iter().filter(|needless| *needless).count();
+        let count = needless.into_iter().filter(|needless| *needless).count();
         assert!(
-            (least..=most).contains(&found),
-            "{name} brakes without cause in {found} of 200 draws"
+            (least..=most).contains(&count),
+            "{name} brakes without cause in {count} of 200 draws"
         );
     }
 }

@@ -343,10 +343,10 @@ pub fn open_finished<S: Study>(
     })
 }
 
-fn other_kind(folder: &Path, found: String, kind: &str) -> RunFolderError {
+fn other_kind(folder: &Path, run_kind: String, kind: &str) -> RunFolderError {
     RunFolderError::OtherKind {
         path: folder.join(MANIFEST_FILE),
-        found,
+        found: run_kind,
         kind: kind.to_owned(),
     }
 }

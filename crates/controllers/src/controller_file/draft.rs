@@ -48,7 +48,7 @@ impl ControllerFileDraft<'_> {
     /// Returns the normalisation if it fits the inputs.
     fn fitting_normalisation(&self) -> Option<&Normalisation> {
         self.normalisation
-            .filter(|found| found.means.len() == self.network.network.inputs())
+            .filter(|statistics| statistics.means.len() == self.network.network.inputs())
     }
 
     fn head(&self) -> String {

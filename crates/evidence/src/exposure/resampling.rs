@@ -94,11 +94,11 @@ impl Resamples {
     pub fn percentile_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let [lows, highs] = &self.sorted_bounds;
         // 1 − (1 − α) is not exactly α.
-        let place = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
-        let from_end = place.checked_sub(1)?;
+        let rank = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
+        let from_end = rank.checked_sub(1)?;
         Some([
             *lows.get(from_end)?,
-            *highs.get(highs.len().checked_sub(place)?)?,
+            *highs.get(highs.len().checked_sub(rank)?)?,
         ])
     }
 

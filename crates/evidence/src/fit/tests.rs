@@ -89,7 +89,7 @@ fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<
 
 /// With 200 trials, an interval at 95 % misses at least 18 times with a probability below 2 %; the seeds are fixed.
 #[test]
-fn intervals_hold_the_parameters_of_known_distributions() {
+fn intervals_contain_the_parameters_of_known_distributions() {
     for (distribution, family, truth, range) in known_distributions() {
         let mut held = [0; 2];
         for trial in 0..200 {
@@ -134,7 +134,7 @@ fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
 }
 
 #[test]
-fn the_p_value_is_even_where_the_family_is_right() {
+fn p_values_are_uniform_if_the_family_is_right() {
     let (distribution, family, _, range) = known_distributions().remove(2);
     let evaluated = |values: &mut Vec<f64>, family: DistributionFamily, trial: u64| {
         values.sort_by(f64::total_cmp);
@@ -196,7 +196,7 @@ correlation = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]]
 
 /// The standard deviation of the estimate for −0.3 from 2000 samples is 0.02; one in seventy has an error above 0.05.
 #[test]
-fn the_correlation_of_2000_draws_is_recovered() {
+fn the_correlation_of_2000_samples_is_recovered() {
     let space = dependent_space();
     let truth = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]];
     let (mut close, mut sums) = (0, [0.0; 3]);
@@ -207,13 +207,13 @@ fn the_correlation_of_2000_draws_is_recovered() {
         let column = |which: usize| draws.iter().map(|draw| draw[which]).collect::<Vec<f64>>();
         let columns = [column(2), column(0), column(1)];
         let distribution = &space.spec().parameters[0].distribution;
-        let found =
+        let correlation =
             dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn {
                 values,
                 distribution,
             }));
         for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            let off: f64 = found[row][column] - truth[row][column];
+            let off: f64 = correlation[row][column] - truth[row][column];
             close += u32::from(off.abs() < 0.05);
             sums[place] += off / 30.0;
         }
@@ -371,7 +371,8 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
     };
     let narrower = changed(&|spec| {
         let values = &observed.parameters[1].values;
-        let [low, high] = [f64::min, f64::max].map(|of| values.iter().copied().reduce(of).unwrap());
+        let [low, high] =
+            [f64::min, f64::max].map(|extreme| values.iter().copied().reduce(extreme).unwrap());
         spec.parameters[1].distribution = DistributionSpec::Uniform(UniformSpec { low, high });
     });
     assert_eq!(narrower.as_deref(), Some("ahead_m"));
@@ -533,7 +534,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
         .collect();
     let heavy = drawn
         .iter()
-        .filter(|one| one.vehicles()[1].class == VehicleClass::Heavy);
+        .filter(|scenario| scenario.vehicles()[1].class == VehicleClass::Heavy);
     assert!(
         (70..140).contains(&heavy.clone().count()),
         "a quarter are lorries: {}",
@@ -542,7 +543,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
     assert!(
         drawn
             .iter()
-            .all(|one| [4.6].contains(&one.vehicles()[0].length_m()))
+            .all(|scenario| [4.6].contains(&scenario.vehicles()[0].length_m()))
     );
     // At every corner of the space, braking ends ten seconds before the end.
     let tried = drawn.into_iter().chain((0..32).map(|corner| {
@@ -599,7 +600,7 @@ fn thresholds_are_kept_and_unobservable_values_are_named() {
 }
 
 #[test]
-fn a_fit_to_draws_of_a_space_gives_the_space_back() {
+fn a_fit_to_samples_of_a_space_recovers_the_space() {
     let space = dependent_space();
     let observed = observe_draws(&space, 2000, 9);
     let again = refit(space.spec(), &observed).unwrap();
@@ -617,12 +618,15 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
         braking_clusters: (0..2000).map(|index| index / 2).collect(),
         ..observed
     };
-    let one = resample(&paired, 1, 0);
+    let resampled = resample(&paired, 1, 0);
     assert_eq!(
-        (one.braking_clusters.len(), one.parameters[0].values.len()),
+        (
+            resampled.braking_clusters.len(),
+            resampled.parameters[0].values.len()
+        ),
         (2000, 2000)
     );
-    assert!(one.parameters[0].values.chunks(2).all(|pair| {
+    assert!(resampled.parameters[0].values.chunks(2).all(|pair| {
         let at = paired.parameters[0]
             .values
             .iter()
@@ -630,6 +634,6 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
             .unwrap();
         paired.parameters[0].values[at + 1] == pair[1]
     }));
-    assert_ne!(one, resample(&paired, 1, 1));
-    assert_eq!(one, resample(&paired, 1, 0));
+    assert_ne!(resampled, resample(&paired, 1, 1));
+    assert_eq!(resampled, resample(&paired, 1, 0));
 }

@@ -229,7 +229,7 @@ impl SplittingLevels {
         let before = self.stages.last();
         let step = before.map_or(FIRST_STEP, |stage| stage.step);
         let threshold_before = before.map_or(f64::INFINITY, |stage| stage.threshold);
-        match NextLevel::place(population, samples, threshold_before) {
+        match NextLevel::after(population, samples, threshold_before) {
             NextLevel::Failure => {
                 self.stages.push(SplittingStage::LAST);
                 self.reaches_failure = true;
@@ -437,7 +437,7 @@ enum NextLevel {
 impl NextLevel {
     /// Places the level after `threshold_before`: the quantile of the margins that [`LEVEL_SHARE`] of the population
     /// passes.
-    fn place(population: &[Particle], samples: usize, threshold_before: f64) -> Self {
+    fn after(population: &[Particle], samples: usize, threshold_before: f64) -> Self {
         let passing = (LEVEL_SHARE * samples as f64).ceil() as usize;
         if count_failures(population) >= passing as u64 {
             return Self::Failure;

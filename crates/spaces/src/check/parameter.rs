@@ -126,13 +126,13 @@ fn check_unit(spec: &ParameterSpec, unit: &str) -> Result<(), InvalidSpace> {
     if with_superscripts(&spec.unit) == unit {
         return Ok(());
     }
-    let found = if spec.unit.is_empty() {
+    let given = if spec.unit.is_empty() {
         "none is given".to_owned()
     } else {
         format!("found `{}`", spec.unit)
     };
     if unit.is_empty() {
-        return reject("unit", format!("`{}` has no unit, {found}", spec.field));
+        return reject("unit", format!("`{}` has no unit, {given}", spec.field));
     }
     let plain = unit.replace('²', "2").replace('³', "3");
     let or_plain = if plain == unit {
@@ -141,7 +141,7 @@ fn check_unit(spec: &ParameterSpec, unit: &str) -> Result<(), InvalidSpace> {
         format!(" (or `{plain}`)")
     };
     let problem = format!(
-        "the unit of `{}` is `{unit}`{or_plain}, {found}",
+        "the unit of `{}` is `{unit}`{or_plain}, {given}",
         spec.field
     );
     reject("unit", problem)
@@ -206,12 +206,12 @@ fn check_nominal(
     }) else {
         return Ok(());
     };
-    let found = format_compact(*value);
+    let value = format_compact(*value);
     let problem = if matches!(marginal, CoordinateMarginal::Choice { .. }) {
-        format!("{found} is not a value of the distribution")
+        format!("{value} is not a value of the distribution")
     } else {
         let [low, high] = [marginal.low(), marginal.high()].map(format_compact);
-        format!("must be from {low} to {high}, found {found}")
+        format!("must be from {low} to {high}, found {value}")
     };
     let origin = if spec.nominal.is_some() {
         ""

@@ -60,7 +60,7 @@ impl Drop for FolderLock {
 fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let path = folder.join(LOCK_FILE);
     let unusable = DiskError::at(&path);
-    if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_file()) {
+    if fs::symlink_metadata(&path).is_ok_and(|metadata| !metadata.is_file()) {
         let problem = "is not a plain file, so crumple cannot lock it: remove it";
         return Err(unusable(io::Error::new(
             io::ErrorKind::InvalidData,

@@ -235,12 +235,12 @@ impl Manifest {
             .chain(folders)
             .collect::<BTreeSet<_>>()
         {
-            let place = root.join(folder);
-            if place.is_symlink() {
-                unlisted.push(place);
+            let path = root.join(folder);
+            if path.is_symlink() {
+                unlisted.push(path);
             } else if !self.includes_folder(folder) {
                 unlisted.extend(
-                    sorted_entries(&place)?
+                    sorted_entries(&path)?
                         .into_iter()
                         .filter(|path| !self.is_expected(root, path)),
                 );

@@ -90,14 +90,14 @@ impl FileState {
         }
     }
 
-    pub(super) fn matches_contents(&self, found: &[u8]) -> bool {
+    pub(super) fn matches_contents(&self, contents: &[u8]) -> bool {
         match self {
             // `Prefix::check_file` checks these.
             Self::AppendOnly(_) => true,
             Self::Whole {
                 bytes,
                 sha256: expected,
-            } => *bytes == found.len() as u64 && sha256(found) == *expected,
+            } => *bytes == contents.len() as u64 && sha256(contents) == *expected,
         }
     }
 
@@ -113,7 +113,7 @@ pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderErro
             path,
             "is not a plain file: crumple keeps results in plain files only",
         )),
-        found => Ok(found.map(|found| found.len())),
+        metadata => Ok(metadata.map(|metadata| metadata.len())),
     }
 }
 

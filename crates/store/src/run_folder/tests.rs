@@ -54,7 +54,7 @@ fn only_written_files_are_read() {
 }
 
 #[test]
-fn another_folders_work_is_refused() {
+fn a_run_of_another_kind_or_configuration_is_refused() {
     let folder = finished_folder();
     for (asked, expected) in [
         (
@@ -109,9 +109,9 @@ fn any_damage_names_its_file() {
     for (name, bytes) in names.iter().zip(&whole) {
         let path = folder.path().join(name);
         let says = |text: String| assert!(text.contains(name), "{name}: {text}");
-        for place in 0..bytes.len() {
+        for byte in 0..bytes.len() {
             let mut damaged = bytes.clone();
-            damaged[place] ^= 1 << (place % 8);
+            damaged[byte] ^= 1 << (byte % 8);
             fs::write(&path, damaged).unwrap();
             says(refused(name));
         }
@@ -275,7 +275,7 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
 
 /// An unlisted file in a folder of the run, or at the path of an output, is named, and the run cannot resume.
 #[test]
-fn strangers_are_named_and_nothing_goes_on_beside_them() {
+fn unlisted_files_are_named_and_prevent_a_resume() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let asked = RunFolderOptions {
@@ -283,10 +283,11 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
         ..OPTIONS
     };
     let named = |unlisted: &[&str]| {
-        let found = examine(root).unwrap();
+        let examination = examine(root).unwrap();
         assert!(
-            found.unlisted_files == unlisted && found.is_intact() == unlisted.is_empty(),
-            "{found:?}"
+            examination.unlisted_files == unlisted
+                && examination.is_intact() == unlisted.is_empty(),
+            "{examination:?}"
         );
         match (unlisted.first(), RunFolder::open(root, asked).err()) {
             (None, error) => assert!(error.is_none(), "{error:?}"),
@@ -416,7 +417,7 @@ fn leftover_files_are_neither_overwritten_nor_included() {
 
 /// An incomplete run belongs to its build; any build may read a complete one.
 #[test]
-fn half_done_work_of_another_build_is_refused() {
+fn an_incomplete_run_of_another_build_is_refused() {
     let folder = finished_folder();
     let path = folder.path().join(MANIFEST_FILE);
     let mut manifest = Manifest::read(&path).unwrap().unwrap();
