@@ -288,24 +288,28 @@ fn load_network(path: &Path) -> Result<Arc<dyn ControllerSource>, ControllerFile
 fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
     /// Files often hold seven digits.
     const TOLERANCE: f64 = 1e-5;
-    let Some(VecNormalizeStats::Observations(theirs)) =
-        VecNormalizeStats::find_for_model(path).map(|beside| VecNormalizeStats::load(&beside))
+    let Some(VecNormalizeStats::Observations(statistics)) =
+        VecNormalizeStats::find_for_model(path).map(|file| VecNormalizeStats::load(&file))
     else {
         return false;
     };
-    let is_close =
-        |own: f64, their: f64| (own - their).abs() <= TOLERANCE * their.abs().max(TOLERANCE);
-    theirs.means.len() == mapping.inputs.len()
-        && mapping
-            .inputs
-            .iter()
-            .zip(theirs.means.iter().zip(&theirs.deviations))
-            .all(|(input, (mean, deviation))| {
-                is_close(input.offset, *mean)
-                    && is_close(input.scale, *deviation)
-                    && is_close(input.low, -theirs.limit)
-                    && is_close(input.high, theirs.limit)
-            })
+    let limit = statistics.limit;
+    let columns = statistics.means.iter().zip(&statistics.deviations);
+    let mut pairs = mapping
+        .inputs
+        .iter()
+        .zip(columns)
+        .flat_map(|(input, (&mean, &deviation))| {
+            [
+                [input.offset, mean],
+                [input.scale, deviation],
+                [input.low, -limit],
+                [input.high, limit],
+            ]
+        });
+    statistics.means.len() == mapping.inputs.len()
+        && pairs
+            .all(|[stated, saved]| (stated - saved).abs() <= TOLERANCE * saved.abs().max(TOLERANCE))
 }
 
 /// Returns the evidence that observations were normalised in training: the model itself, or a statistics file beside
@@ -315,30 +319,27 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
     if trace == VecNormalizeUse::None {
         return None;
     }
-    let beside = VecNormalizeStats::find_for_model(path);
-    if beside
+    let statistics = VecNormalizeStats::find_for_model(path);
+    if statistics
         .as_deref()
-        .is_some_and(|beside| VecNormalizeStats::load(beside) == VecNormalizeStats::RewardsOnly)
+        .is_some_and(|file| VecNormalizeStats::load(file) == VecNormalizeStats::RewardsOnly)
     {
         return None;
     }
     let folder = path.parent().unwrap_or(Path::new(""));
-    let beside = beside.map(|beside| {
-        beside
-            .strip_prefix(folder)
-            .unwrap_or(&beside)
-            .display()
-            .to_string()
+    let statistics = statistics.map(|file| {
+        let name = file.strip_prefix(folder).unwrap_or(&file);
+        name.display().to_string()
     });
-    match (trace, beside) {
-        (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
-            "its data shows that it was trained with VecNormalize (`{beside}` seems to contain the statistics)"
+    match (trace, statistics) {
+        (VecNormalizeUse::Behind, Some(statistics)) => Some(format!(
+            "its data shows that it was trained with VecNormalize (`{statistics}` seems to contain the statistics)"
         )),
         (VecNormalizeUse::Behind, None) => {
             Some("its data shows that it was trained with VecNormalize".to_owned())
         }
-        (_, Some(beside)) => Some(format!(
-            "`{beside}` is in the same folder, so its observations were normalised in training"
+        (_, Some(statistics)) => Some(format!(
+            "`{statistics}` is in the same folder, so its observations were normalised in training"
         )),
         (_, None) => None,
     }

@@ -153,9 +153,9 @@ impl Markdown {
     }
 
     /// Appends the blocks of another text.
-    pub fn append(&mut self, other: &Self) {
-        if !other.text.is_empty() {
-            self.push_block(&other.text);
+    pub fn append(&mut self, blocks: &Self) {
+        if !blocks.text.is_empty() {
+            self.push_block(&blocks.text);
         }
     }
 

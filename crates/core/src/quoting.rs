@@ -154,16 +154,16 @@ impl Display for MarkdownText<'_> {
                 .trim_start_matches(|letter: char| letter.is_ascii_digit())
                 .len();
         let mut before = None;
-        for (place, letter) in text.char_indices() {
+        for (index, letter) in text.char_indices() {
             let after = text
-                .get(place + letter.len_utf8()..)
+                .get(index + letter.len_utf8()..)
                 .and_then(|rest| rest.chars().next());
             let ends_word = after.is_none_or(char::is_whitespace);
             // At the start of a block, these begin headings, quotations, rules and lists.
             let begins_block = match letter {
-                '#' | '>' | '=' => place == 0,
-                '-' | '+' => place == 0 && (ends_word || after == Some(letter)),
-                '.' | ')' => place == number && number > 0 && ends_word,
+                '#' | '>' | '=' => index == 0,
+                '-' | '+' => index == 0 && (ends_word || after == Some(letter)),
+                '.' | ')' => index == number && number > 0 && ends_word,
                 _ => false,
             };
             match letter {

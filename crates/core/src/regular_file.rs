@@ -41,8 +41,8 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// Those of [`open`].
 pub fn open_with(path: &Path, options: &OpenOptions) -> io::Result<File> {
     // To open a device may have effects.
-    if let Ok(found) = path.metadata() {
-        ensure_regular(&found)?;
+    if let Ok(metadata) = path.metadata() {
+        ensure_regular(&metadata)?;
     }
     let file = without_waiting(options.clone()).open(path)?;
     // Since the first check, another file may have got the name.

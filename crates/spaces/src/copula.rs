@@ -92,11 +92,11 @@ impl Copula {
     pub(super) fn correlate(&self, uniform: &[f64]) -> Vec<f64> {
         let normal = self.normal_scores(uniform);
         let mut depending = uniform.to_vec();
-        for (row, &place) in self.coordinates.iter().enumerate() {
+        for (row, &index) in self.coordinates.iter().enumerate() {
             let sum: f64 = (0..=row)
                 .map(|column| self.cholesky_factor[(row, column)] * normal[column])
                 .sum();
-            if let Some(share) = depending.get_mut(place) {
+            if let Some(share) = depending.get_mut(index) {
                 *share = Gauss::standard().cdf(sum);
             }
         }
@@ -114,9 +114,9 @@ impl Copula {
         let Some(independent) = self.cholesky_factor.solve_lower_triangular(&depending) else {
             return;
         };
-        for (&place, &score) in self.coordinates.iter().zip(independent.iter()) {
-            if let Some(found) = scores.get_mut(place) {
-                *found = score;
+        for (&index, &independent_score) in self.coordinates.iter().zip(independent.iter()) {
+            if let Some(score) = scores.get_mut(index) {
+                *score = independent_score;
             }
         }
     }

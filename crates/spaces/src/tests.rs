@@ -35,15 +35,15 @@ fn built_in_spaces_are_valid_and_their_nominal_scenario_is_the_base() {
             panic!("spelled out")
         };
         let nominal = space.scenario(&space.nominal()).unwrap();
-        for (found, expected) in nominal.vehicles().iter().zip(&base.vehicles) {
-            assert!((found.position_m - expected.position_m).abs() < 1e-12);
-            assert_eq!(found.driver.name(), expected.driver.name());
-            assert!((found.mass_kg() - expected.mass_kg()).abs() < 1e-9);
-            assert_eq!(found.max_brake_mps2(), expected.max_brake_mps2());
+        for (vehicle, expected) in nominal.vehicles().iter().zip(&base.vehicles) {
+            assert!((vehicle.position_m - expected.position_m).abs() < 1e-12);
+            assert_eq!(vehicle.driver.name(), expected.driver.name());
+            assert!((vehicle.mass_kg() - expected.mass_kg()).abs() < 1e-9);
+            assert_eq!(vehicle.max_brake_mps2(), expected.max_brake_mps2());
         }
         let text = file::to_toml(&space).unwrap();
-        let again = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
-        assert_eq!(again.draw(1, 2), space.draw(1, 2), "{text}");
+        let restored = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
+        assert_eq!(restored.draw(1, 2), space.draw(1, 2), "{text}");
     }
 }
 
@@ -62,8 +62,8 @@ proptest! {
             let scenario = space.scenario_at(point).unwrap();
             prop_assert!(scenario.has_vehicle_under_test());
             let values = space.values(point);
-            for (again, value) in space.values(&space.point(&values)).iter().zip(&values) {
-                prop_assert!((again - value).abs() <= 1e-12 * (1.0 + value.abs()));
+            for (restored, value) in space.values(&space.point(&values)).iter().zip(&values) {
+                prop_assert!((restored - value).abs() <= 1e-12 * (1.0 + value.abs()));
             }
             prop_assert!(space.contains(&space.values(&space.draw_point(seed, index))));
             let mut beyond = space.values(&space.draw_point(seed, index));
@@ -79,7 +79,8 @@ proptest! {
 fn ks_distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
     a.sort_by(f64::total_cmp);
     b.sort_by(f64::total_cmp);
-    let share = |of: &[f64], x: f64| of.partition_point(|y| *y <= x) as f64 / of.len() as f64;
+    let share =
+        |sample: &[f64], x: f64| sample.partition_point(|y| *y <= x) as f64 / sample.len() as f64;
     a.iter()
         .chain(&b)
         .map(|&x| (share(&a, x) - share(&b, x)).abs())
@@ -113,10 +114,10 @@ fn the_paper_space_has_the_distribution_of_the_paper() {
     ];
     // Two samples of one distribution exceed this distance once in about 10 000 times.
     let limit = 2.2 * (2.0 / DRAWS as f64).sqrt();
-    for (name, of) in quantities {
+    for (name, quantity) in quantities {
         let distance = ks_distance(
-            ours.iter().map(of).collect(),
-            theirs.iter().map(of).collect(),
+            ours.iter().map(quantity).collect(),
+            theirs.iter().map(quantity).collect(),
         );
         assert!(distance < limit, "{name}: {distance}");
     }

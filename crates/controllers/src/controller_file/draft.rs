@@ -83,9 +83,9 @@ impl ControllerFileDraft<'_> {
         let [mut low, mut high] = space
             .map(|space| finite_bounds(&space.low, &space.high, index))
             .unwrap_or_default();
-        if let Some(found) = self.fitting_normalisation() {
-            (offset, scale) = (found.means[index], found.deviations[index]);
-            (low, high) = (Some(-found.limit), Some(found.limit));
+        if let Some(statistics) = self.fitting_normalisation() {
+            (offset, scale) = (statistics.means[index], statistics.deviations[index]);
+            (low, high) = (Some(-statistics.limit), Some(statistics.limit));
         }
         let name = quantity.name();
         let mut text = format!("\n[[inputs]]\nquantity = \"{name}\" # a guess\n");

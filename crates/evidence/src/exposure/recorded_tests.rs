@@ -122,7 +122,7 @@ fn intervals_contain_the_true_rates_of_recordings() {
         min_brake: MinBrake::default(),
         leaders: LeaderSelection::Any,
     };
-    let mut held = 0;
+    let mut covered = 0;
     for index in 0..12 {
         let traffic = KnownTraffic::new(index);
         let random = &mut stream(u64::from(index), Purpose::Search, 54);
@@ -174,8 +174,8 @@ fn intervals_contain_the_true_rates_of_recordings() {
             "{} episodes, {truth:.3} failures an hour, {interval:.3?}, {holds}",
             sample.exposure.episodes
         );
-        held += u32::from(holds);
+        covered += u32::from(holds);
     }
-    println!("{held} of 12 intervals hold the rate per hour");
-    assert!(held >= 10, "{held}");
+    println!("{covered} of 12 intervals hold the rate per hour");
+    assert!(covered >= 10, "{covered}");
 }

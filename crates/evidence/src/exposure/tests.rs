@@ -98,7 +98,7 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     const AN_HOUR: f64 = 12.0;
     let truth = traffic();
     let true_probability = failures(&truth, 1, 400_000).unwrap() as f64 / 400_000.0;
-    let mut held = [0; 2];
+    let mut covered = [0; 2];
     for trial in 0..trials {
         let space = observe_traffic(
             &truth,
@@ -119,13 +119,13 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
         let holds = |figure: IntervalEstimate| {
             u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * true_probability)))
         };
-        held[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
-        held[1] += holds(rate.fitted.per_hour);
+        covered[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
+        covered[1] += holds(rate.fitted.per_hour);
     }
     println!(
-        "{hours} h, failures {true_probability:.4} an episode: {held:?} of {trials} intervals hold the rate per hour"
+        "{hours} h, failures {true_probability:.4} an episode: {covered:?} of {trials} intervals hold the rate per hour"
     );
-    held
+    covered
 }
 
 /// Both intervals are joint and conservative. If an interval holds with a probability of 95 %, fewer than 36 of 40 hold
@@ -208,16 +208,16 @@ fn undescribed_brakings_count_in_rates_per_hour() {
         (0, 50, all.fitted.per_episode)
     );
     let numbers = |figure: IntervalEstimate| [figure.estimate, figure.lower, figure.upper];
-    for (one, two) in [
+    for (all_rates, half_rates) in [
         (all.fitted.per_hour, half.fitted.per_hour),
         (all.fitted.per_1000_km, half.fitted.per_1000_km),
     ] {
         assert!(
-            numbers(one)
+            numbers(all_rates)
                 .iter()
-                .zip(numbers(two))
-                .all(|(one, two)| (2.0 * one - two).abs() < 1e-12),
-            "{one:?} {two:?}"
+                .zip(numbers(half_rates))
+                .all(|(all_rates, half_rates)| (2.0 * all_rates - half_rates).abs() < 1e-12),
+            "{all_rates:?} {half_rates:?}"
         );
     }
 }

@@ -91,7 +91,7 @@ fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<
 #[test]
 fn intervals_contain_the_parameters_of_known_distributions() {
     for (distribution, family, truth, range) in known_distributions() {
-        let mut held = [0; 2];
+        let mut covered = [0; 2];
         for trial in 0..200 {
             let fit = family
                 .fit(&draw_values(&distribution, 200, trial), range)
@@ -99,16 +99,16 @@ fn intervals_contain_the_parameters_of_known_distributions() {
             let intervals = fit.intervals_95.unwrap();
             for which in 0..2 {
                 let [low, high] = intervals[which];
-                held[which] += u32::from(low <= truth[which] && truth[which] <= high);
+                covered[which] += u32::from(low <= truth[which] && truth[which] <= high);
             }
         }
         println!(
-            "{}: {held:?} of 200 intervals hold the parameters",
+            "{}: {covered:?} of 200 intervals hold the parameters",
             family.name()
         );
         assert!(
-            held.iter().all(|held| (183..=200).contains(held)),
-            "{}: {held:?}",
+            covered.iter().all(|covered| (183..=200).contains(covered)),
+            "{}: {covered:?}",
             family.name()
         );
     }
@@ -212,10 +212,10 @@ fn the_correlation_of_2000_samples_is_recovered() {
                 values,
                 distribution,
             }));
-        for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+        for (index, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = correlation[row][column] - truth[row][column];
             close += u32::from(off.abs() < 0.05);
-            sums[place] += off / 30.0;
+            sums[index] += off / 30.0;
         }
     }
     println!("{close} of 90 correlations to 0.05, mean errors {sums:.4?}");
@@ -229,20 +229,21 @@ fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     let draws: Vec<Vec<f64>> = (0..count.into())
         .map(|index| space.values(&space.draw_point(seed, index)))
         .collect();
-    let seen = |(which, parameter): (usize, &crumple_spaces::SpaceParameter)| ObservedParameter {
-        name: parameter.name().to_owned(),
-        low: parameter.range()[0],
-        high: parameter.range()[1],
-        point_mass: match &space.spec().parameters[which].distribution {
-            DistributionSpec::PointMass(point) => Some(point.at),
-            _ => None,
-        },
-        values: draws.iter().map(|draw| draw[which]).collect(),
-    };
+    let observe =
+        |(which, parameter): (usize, &crumple_spaces::SpaceParameter)| ObservedParameter {
+            name: parameter.name().to_owned(),
+            low: parameter.range()[0],
+            high: parameter.range()[1],
+            point_mass: match &space.spec().parameters[which].distribution {
+                DistributionSpec::PointMass(point) => Some(point.at),
+                _ => None,
+            },
+            values: draws.iter().map(|draw| draw[which]).collect(),
+        };
     ObservedData {
         braking_clusters: (0..count).collect(),
         search_share: None,
-        parameters: space.parameters().iter().enumerate().map(seen).collect(),
+        parameters: space.parameters().iter().enumerate().map(observe).collect(),
     }
 }
 
@@ -280,16 +281,16 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     let (mut errors, mut most) = ([0.0; 3], 0.0_f64);
     for seed in 0..8 {
         let observed = observe_draws(&space, 2000, seed);
-        let again = refit(space.spec(), &observed).unwrap();
-        let Some(Dependence::GaussianCopula(copula)) = &again.spec().dependence else {
+        let refitted = refit(space.spec(), &observed).unwrap();
+        let Some(Dependence::GaussianCopula(copula)) = &refitted.spec().dependence else {
             panic!("dependent")
         };
-        for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+        for (index, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = copula.correlation[row][column] - truth[row][column];
-            errors[place] += off / 8.0;
+            errors[index] += off / 8.0;
             most = most.max(off.abs());
         }
-        let [friction, _, size] = &again.spec().parameters[..] else {
+        let [friction, _, size] = &refitted.spec().parameters[..] else {
             panic!("three")
         };
         let DistributionSpec::PointMass(point) = &friction.distribution else {
@@ -317,14 +318,14 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
             (choice.weights.as_ref().unwrap()[1] / 2000.0 - 0.25).abs() < 0.035,
             "{choice:?}"
         );
-        let text = file::to_toml(&again).unwrap();
+        let text = file::to_toml(&refitted).unwrap();
         assert_eq!(
             file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles)
                 .unwrap()
                 .draw(3, 4),
-            again.draw(3, 4)
+            refitted.draw(3, 4)
         );
-        assert_eq!(find_edit(&again, &observed), Ok(None));
+        assert_eq!(find_edit(&refitted, &observed), Ok(None));
     }
     println!("mean errors {errors:.4?}, the largest {most:.3}");
     assert!(
@@ -385,9 +386,9 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
         Some(Dependence::GaussianCopula(copula)) => copula.clone(),
         None => panic!("dependent"),
     };
-    for kept in [1, 2] {
-        let parameters = observed.parameters[..kept].to_vec();
-        let again = refit(
+    for observed_count in [1, 2] {
+        let parameters = observed.parameters[..observed_count].to_vec();
+        let refitted = refit(
             space.spec(),
             &ObservedData {
                 parameters,
@@ -395,13 +396,13 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
             },
         )
         .unwrap();
-        let (before, after) = (stated(&space), stated(&again));
+        let (before, after) = (stated(&space), stated(&refitted));
         assert_eq!(before.parameters, after.parameters);
         for (row, a) in before.parameters.iter().enumerate() {
             for (column, b) in before.parameters.iter().enumerate() {
-                let is_fitted = kept == 2 && a != "behind_m" && b != "behind_m" && a != b;
+                let is_fitted = observed_count == 2 && a != "behind_m" && b != "behind_m" && a != b;
                 let is_same = before.correlation[row][column] == after.correlation[row][column];
-                assert_eq!(is_same, !is_fitted, "{kept} {a} {b}");
+                assert_eq!(is_same, !is_fitted, "{observed_count} {a} {b}");
             }
         }
     }
@@ -463,13 +464,13 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
 
 #[test]
 fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
-    let taken = ExtractionConfig {
+    let extraction = ExtractionConfig {
         vehicles: 2,
         min_brake: MinBrake::default(),
         leaders: LeaderSelection::Any,
     };
-    let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], taken).unwrap();
-    let left_out = ExclusionCounts {
+    let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], extraction).unwrap();
+    let exclusions = ExclusionCounts {
         no_follower: 1,
         impossible_speeds: 1,
         ..ExclusionCounts::default()
@@ -480,7 +481,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
             sample.exposure.episodes,
             sample.exposure.undescribed_brakings
         ),
-        (left_out, 38, 1)
+        (exclusions, 38, 1)
     );
     assert_eq!(sample.exposure.sources[0].undescribed_brakings, 1);
     // 39 leaders with a follower, for 19.9 s each; braking cannot begin in the last second.
@@ -564,14 +565,14 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
 
 #[test]
 fn thresholds_are_kept_and_unobservable_values_are_named() {
-    let taken = |mps2| ExtractionConfig {
+    let extraction = |mps2| ExtractionConfig {
         vehicles: 2,
         min_brake: MinBrake::new(mps2).unwrap(),
         leaders: LeaderSelection::Any,
     };
-    assert_eq!(features(&taken(11.5))[1].range, [11.5, 12.0]);
+    assert_eq!(features(&extraction(11.5))[1].range, [11.5, 12.0]);
     assert!(matches!(
-        EpisodeSample::from_recordings(&[], taken(12.0)),
+        EpisodeSample::from_recordings(&[], extraction(12.0)),
         Err(FitError::MinBrake { .. })
     ));
     let header = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps
@@ -590,7 +591,7 @@ fn thresholds_are_kept_and_unobservable_values_are_named() {
         None,
     )
     .unwrap();
-    let message = EpisodeSample::from_recordings(&[slow], taken(1.3))
+    let message = EpisodeSample::from_recordings(&[slow], extraction(1.3))
         .unwrap_err()
         .to_string();
     assert!(
@@ -603,17 +604,22 @@ fn thresholds_are_kept_and_unobservable_values_are_named() {
 fn a_fit_to_samples_of_a_space_recovers_the_space() {
     let space = dependent_space();
     let observed = observe_draws(&space, 2000, 9);
-    let again = refit(space.spec(), &observed).unwrap();
+    let refitted = refit(space.spec(), &observed).unwrap();
     for u in [0.02, 0.2, 0.5, 0.8, 0.98] {
-        for (before, after) in space.spec().parameters.iter().zip(&again.spec().parameters) {
+        for (before, after) in space
+            .spec()
+            .parameters
+            .iter()
+            .zip(&refitted.spec().parameters)
+        {
             let [a, b] = [before, after].map(|parameter| parameter.distribution.build().unwrap());
             let off = (a.cdf(b.quantile(u)) - u).abs();
             assert!(off < 0.03, "{}: {off} at {u}", before.name);
         }
     }
-    let text = file::to_toml(&again).unwrap();
+    let text = file::to_toml(&refitted).unwrap();
     let read = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
-    assert_eq!(read.draw(3, 4), again.draw(3, 4));
+    assert_eq!(read.draw(3, 4), refitted.draw(3, 4));
     let paired = ObservedData {
         braking_clusters: (0..2000).map(|index| index / 2).collect(),
         ..observed

@@ -355,10 +355,10 @@ fn a_larger_pilot_reaches_a_failure_that_the_first_one_misses() {
         samples: 100,
         repetitions: 10,
     };
-    let (mut found, mut again) = (Vec::new(), 0);
+    let (mut ratios, mut retries) = (Vec::new(), 0);
     for seed in 0..200 {
         let first = SplittingLevels::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
-        again += usize::from(!first.reaches_failure());
+        retries += usize::from(!first.reaches_failure());
         let pilot = SplittingLevels::run_pilots(&problem, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
         // If no pilot reaches a failure, the runs of the three pilots are all.
@@ -370,13 +370,13 @@ fn a_larger_pilot_reaches_a_failure_that_the_first_one_misses() {
                 700
             }
         );
-        found.push(estimate.probability.unwrap_or(0.0) / truth);
+        ratios.push(estimate.probability.unwrap_or(0.0) / truth);
     }
-    let mean = found.iter().sum::<f64>() / found.len() as f64;
-    println!("{again} went on, mean {mean:.3}");
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    println!("{retries} went on, mean {mean:.3}");
     assert!(
-        again >= 10 && (mean - 1.0).abs() < 0.15,
-        "{again} went on, mean {mean:.3}"
+        retries >= 10 && (mean - 1.0).abs() < 0.15,
+        "{retries} went on, mean {mean:.3}"
     );
     let never = SplittingLevels::run_pilots(
         &ClosedFormLimitState {

@@ -77,7 +77,7 @@ impl ScenarioSpace {
             let problem = format!("`{name}` is a column of every table of evaluations");
             return reject("name", problem);
         }
-        if self.parameters.iter().any(|other| other.name == name) {
+        if self.parameters.iter().any(|earlier| earlier.name == name) {
             let problem = format!("`{name}` is the name of another parameter");
             return reject("name", problem);
         }
@@ -155,8 +155,8 @@ fn with_superscripts(unit: &str) -> String {
 fn check_overlap(field: &ParameterField, written: &[WrittenPath]) -> Result<(), InvalidSpace> {
     for path in &field.written_paths {
         let mut earlier = written.iter();
-        if let Some(other) = earlier.find(|other| is_overlapping(&other.path, path)) {
-            let parameter = &other.parameter;
+        if let Some(overlapping) = earlier.find(|earlier| is_overlapping(&earlier.path, path)) {
+            let parameter = &overlapping.parameter;
             let problem = format!("`{path}` is set by the parameter `{parameter}` already");
             return reject("field", problem);
         }

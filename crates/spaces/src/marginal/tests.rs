@@ -170,7 +170,7 @@ proptest! {
         prop_assert!(is_choice || off.abs() <= point + 1e-8, "{off}");
         let value = marginal.value(at);
         prop_assert!(value >= marginal.low() && value <= marginal.high());
-        let again = marginal.value(marginal.coordinate(value));
-        prop_assert!((again - value).abs() <= 1e-9 * (1.0 + value.abs()));
+        let restored = marginal.value(marginal.coordinate(value));
+        prop_assert!((restored - value).abs() <= 1e-9 * (1.0 + value.abs()));
     }
 }

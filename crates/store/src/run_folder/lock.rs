@@ -99,10 +99,10 @@ mod tests {
         let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_none());
         // A duplicate, as a child process holds it before it executes its program.
-        let held = lock.file.try_clone().unwrap();
+        let duplicate = lock.file.try_clone().unwrap();
         drop(lock);
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_some());
-        drop(held);
+        drop(duplicate);
         let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         fs::remove_file(folder.path().join(LOCK_FILE)).unwrap();
         assert!(

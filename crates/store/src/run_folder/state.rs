@@ -102,14 +102,14 @@ impl FileState {
     }
 
     pub(super) fn matches_file(&self, path: &Path) -> bool {
-        matches!(read_regular_file(path, self.max_bytes()), Ok(Some(found)) if self.matches_contents(&found))
+        matches!(read_regular_file(path, self.max_bytes()), Ok(Some(contents)) if self.matches_contents(&contents))
     }
 }
 
 /// Returns the length of a file; `None` if it does not exist. A link, folder or pipe is an error.
 pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderError> {
     match none_if_missing(fs::symlink_metadata(path)).map_err(DiskError::at(path))? {
-        Some(found) if !found.is_file() => Err(RunFolderError::damaged(
+        Some(metadata) if !metadata.is_file() => Err(RunFolderError::damaged(
             path,
             "is not a plain file: crumple keeps results in plain files only",
         )),
