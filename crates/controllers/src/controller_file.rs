@@ -255,22 +255,21 @@ pub fn file_name(controller: &NetworkController) -> String {
 
 /// Returns true for a regular file: reading a device or a pipe may never end.
 pub(crate) fn is_regular_file(path: &Path) -> bool {
-    fs::metadata(path).is_ok_and(|found| found.is_file())
+    fs::metadata(path).is_ok_and(|metadata| metadata.is_file())
 }
 
 /// Loads a network without controller file, with the mapping of crumple's own policies.
 fn load_network(path: &Path) -> Result<Arc<dyn ControllerSource>, ControllerFileError> {
     let file = NetworkFile::load(path)?;
-    let shown = || path.display().to_string();
     if let Some(reason) = normalisation_evidence(&file, path) {
         return Err(ControllerFileError::Normalised {
-            path: shown(),
+            path: path.display().to_string(),
             reason,
         });
     }
     let controller = NetworkController::with_native_mapping(file).map_err(|invalid| {
         ControllerFileError::NeedsMapping {
-            path: shown(),
+            path: path.display().to_string(),
             invalid,
         }
     })?;
@@ -289,24 +288,28 @@ fn load_network(path: &Path) -> Result<Arc<dyn ControllerSource>, ControllerFile
 fn matches_saved_statistics(mapping: &Mapping, path: &Path) -> bool {
     /// Files often hold seven digits.
     const TOLERANCE: f64 = 1e-5;
-    let Some(VecNormalizeStats::Observations(theirs)) =
-        VecNormalizeStats::find_for_model(path).map(|beside| VecNormalizeStats::load(&beside))
+    let Some(VecNormalizeStats::Observations(statistics)) =
+        VecNormalizeStats::find_for_model(path).map(|file| VecNormalizeStats::load(&file))
     else {
         return false;
     };
-    let is_close =
-        |own: f64, their: f64| (own - their).abs() <= TOLERANCE * their.abs().max(TOLERANCE);
-    theirs.means.len() == mapping.inputs.len()
-        && mapping
-            .inputs
-            .iter()
-            .zip(theirs.means.iter().zip(&theirs.deviations))
-            .all(|(input, (mean, deviation))| {
-                is_close(input.offset, *mean)
-                    && is_close(input.scale, *deviation)
-                    && is_close(input.low, -theirs.limit)
-                    && is_close(input.high, theirs.limit)
-            })
+    let limit = statistics.limit;
+    let columns = statistics.means.iter().zip(&statistics.deviations);
+    let mut pairs = mapping
+        .inputs
+        .iter()
+        .zip(columns)
+        .flat_map(|(input, (&mean, &deviation))| {
+            [
+                [input.offset, mean],
+                [input.scale, deviation],
+                [input.low, -limit],
+                [input.high, limit],
+            ]
+        });
+    statistics.means.len() == mapping.inputs.len()
+        && pairs
+            .all(|[stated, saved]| (stated - saved).abs() <= TOLERANCE * saved.abs().max(TOLERANCE))
 }
 
 /// Returns the evidence that observations were normalised in training: the model itself, or a statistics file beside
@@ -316,30 +319,27 @@ fn normalisation_evidence(file: &NetworkFile, path: &Path) -> Option<String> {
     if trace == VecNormalizeUse::None {
         return None;
     }
-    let beside = VecNormalizeStats::find_for_model(path);
-    if beside
+    let statistics = VecNormalizeStats::find_for_model(path);
+    if statistics
         .as_deref()
-        .is_some_and(|beside| VecNormalizeStats::load(beside) == VecNormalizeStats::RewardsOnly)
+        .is_some_and(|file| VecNormalizeStats::load(file) == VecNormalizeStats::RewardsOnly)
     {
         return None;
     }
     let folder = path.parent().unwrap_or(Path::new(""));
-    let beside = beside.map(|beside| {
-        beside
-            .strip_prefix(folder)
-            .unwrap_or(&beside)
-            .display()
-            .to_string()
+    let statistics = statistics.map(|file| {
+        let name = file.strip_prefix(folder).unwrap_or(&file);
+        name.display().to_string()
     });
-    match (trace, beside) {
-        (VecNormalizeUse::Behind, Some(beside)) => Some(format!(
-            "its data shows that it was trained with VecNormalize (`{beside}` seems to contain the statistics)"
+    match (trace, statistics) {
+        (VecNormalizeUse::Behind, Some(statistics)) => Some(format!(
+            "its data shows that it was trained with VecNormalize (`{statistics}` seems to contain the statistics)"
         )),
         (VecNormalizeUse::Behind, None) => {
             Some("its data shows that it was trained with VecNormalize".to_owned())
         }
-        (_, Some(beside)) => Some(format!(
-            "`{beside}` is in the same folder, so its observations were normalised in training"
+        (_, Some(statistics)) => Some(format!(
+            "`{statistics}` is in the same folder, so its observations were normalised in training"
         )),
         (_, None) => None,
     }
@@ -356,67 +356,31 @@ fn load_controller_file(
     check_version(file.version, CONTROLLER_FILE_VERSION)
         .map_err(|unsupported| wrong(InvalidMapping::new("version", unsupported.to_string())))?;
     let folder = path.with_file_name("");
-    let permission = |field: &str| {
-        named_by
-            .permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)))
-    };
     let source_file = SourceFile::controller_file(path, &text);
-    match file.controller_source().map_err(wrong)? {
+    let source = file.controller_source().map_err(wrong)?;
+    let field = source.field();
+    let setup = match source {
         ControllerFileSource::Network(name) => {
-            let normalised = file.normalised;
-            let mapping = file.into_network_mapping().map_err(wrong)?;
-            mapping.check().map_err(wrong)?;
-            let place = folder.join(name);
-            let network = NetworkFile::load(&place).map_err(|error| {
-                let is_missing =
-                    matches!(&error, NetworkError::Read { source, .. } if source.kind() == ErrorKind::NotFound);
-                let problem =
-                    if is_missing { format!("there is no file {}", place.display()) } else { error.to_string() };
-                wrong(InvalidMapping::new("network", problem))
-            })?;
-            if normalised.is_none()
-                && !matches_saved_statistics(&mapping, &place)
-                && let Some(reason) = normalisation_evidence(&network, &place)
-            {
-                let problem = format!(
-                    "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the \
-                     deviations as scales, or `false` if observations were left alone (docs/controllers.md)",
-                    place.display()
-                );
-                return Err(wrong(InvalidMapping::new("normalised", problem)).into());
-            }
-            let controller = NetworkController::new(network, mapping).map_err(wrong)?;
-            Ok(Arc::new(
-                controller
-                    .with_normalised(normalised)
-                    .with_source_file(source_file),
-            ))
+            let controller = file
+                .into_network_controller(&folder.join(name))
+                .map_err(wrong)?;
+            return Ok(Arc::new(controller.with_source_file(source_file)));
         }
         ControllerFileSource::Fmu(name) => {
-            let plain =
-                ProcessSetup::from_fmu(&folder, &name, file.wiring()).map_err(|problem| {
-                    match problem {
-                        FmuProblem::Mapping(invalid) => wrong(invalid).into(),
-                        problem @ FmuProblem::ProcessFeatureDisabled => ControllerFileError::Fmu {
-                            path: folder.join(&name).display().to_string(),
-                            problem,
-                        },
-                        problem => wrong(InvalidMapping::new(
-                            "fmu",
-                            problem.describe(&folder.join(&name)),
-                        ))
-                        .into(),
-                    }
-                })?;
-            process_controller(file.with_limits(plain), source_file, permission("fmu")?)
-                .map_err(|invalid| wrong(invalid).into())
+            let setup = ProcessSetup::from_fmu(&folder, &name, file.wiring());
+            let fmu_path = folder.join(&name);
+            let setup = setup.map_err(|problem| match problem {
+                FmuProblem::Mapping(invalid) => wrong(invalid).into(),
+                FmuProblem::ProcessFeatureDisabled => fmu_error(&fmu_path, problem),
+                _ => wrong(InvalidMapping::new("fmu", problem.describe(&fmu_path))).into(),
+            })?;
+            file.with_limits(setup)
         }
-        ControllerFileSource::Command(command) => {
-            let setup = file.into_process_setup(command, &folder);
-            process_controller(setup, source_file, permission("command")?)
-                .map_err(|invalid| wrong(invalid).into())
-        }
-    }
+        ControllerFileSource::Command(command) => file.into_process_setup(command, &folder),
+    };
+    let permission = named_by
+        .permission(|| format!("{}:{}: {field}", path.display(), line_in_toml(&text, field)))?;
+    process_controller(setup, source_file, permission).map_err(|invalid| wrong(invalid).into())
 }
 
 fn process_controller(
@@ -437,21 +401,20 @@ fn load_fmu(
     named_by: NameOrigin,
 ) -> Result<Arc<dyn ControllerSource>, ControllerFileError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let setup = ProcessSetup::from_fmu(&path.with_file_name(""), &name, FmuConfig::default());
-    let failed = |problem| match problem {
-        FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping {
-            path: path.display().to_string(),
-            invalid,
-        },
-        problem => ControllerFileError::Fmu {
-            path: path.display().to_string(),
-            problem,
-        },
-    };
-    let setup = setup.map_err(failed)?;
+    let setup = ProcessSetup::from_fmu(&path.with_file_name(""), &name, FmuConfig::default())
+        .map_err(|problem| fmu_error(path, problem))?;
     let permission = named_by.permission(|| path.display().to_string())?;
     process_controller(setup, SourceFile::binary(path), permission)
-        .map_err(|invalid| failed(invalid.into()))
+        .map_err(|invalid| fmu_error(path, invalid.into()))
+}
+
+/// Returns the error of an FMU; a mapping is a problem of an FMU without controller file.
+fn fmu_error(path: &Path, problem: FmuProblem) -> ControllerFileError {
+    let path = path.display().to_string();
+    match problem {
+        FmuProblem::Mapping(invalid) => ControllerFileError::NeedsMapping { path, invalid },
+        problem => ControllerFileError::Fmu { path, problem },
+    }
 }
 
 enum ControllerFileSource {
@@ -460,33 +423,56 @@ enum ControllerFileSource {
     Command(Vec<String>),
 }
 
+impl ControllerFileSource {
+    /// Returns the field of a controller file that states the source.
+    fn field(&self) -> &'static str {
+        match self {
+            Self::Network(_) => "network",
+            Self::Fmu(_) => "fmu",
+            Self::Command(_) => "command",
+        }
+    }
+
+    fn description(&self) -> &'static str {
+        match self {
+            Self::Network(_) => "a network",
+            Self::Fmu(_) => "an FMU",
+            Self::Command(_) => "a command",
+        }
+    }
+}
+
 impl ControllerFile {
     /// Returns the source, unless a field belongs to another source.
     fn controller_source(&self) -> Result<ControllerFileSource, InvalidMapping> {
-        let network = self
-            .network
-            .clone()
-            .map(|name| ("network", "a network", ControllerFileSource::Network(name)));
-        let fmu = self
-            .fmu
-            .clone()
-            .map(|name| ("fmu", "an FMU", ControllerFileSource::Fmu(name)));
-        let command = self
-            .command
-            .clone()
-            .map(|words| ("command", "a command", ControllerFileSource::Command(words)));
-        let mut message = [network, fmu, command].into_iter().flatten();
-        let problem = "one of `network`, `fmu` and `command` is required";
-        let (field, what, drives) = message
-            .next()
-            .ok_or_else(|| InvalidMapping::new("version", problem))?;
-        if let Some((other, ..)) = message.next() {
+        let network = self.network.clone().map(ControllerFileSource::Network);
+        let fmu = self.fmu.clone().map(ControllerFileSource::Fmu);
+        let command = self.command.clone().map(ControllerFileSource::Command);
+        let mut stated = [network, fmu, command].into_iter().flatten();
+        let Some(source) = stated.next() else {
+            let problem = "one of `network`, `fmu` and `command` is required";
+            return Err(InvalidMapping::new("version", problem));
+        };
+        if let Some(second) = stated.next() {
+            let field = source.field();
             return Err(InvalidMapping::new(
-                other,
+                second.field(),
                 format!("`{field}` is given already: keep one of them"),
             ));
         }
-        let (is_network, is_fmu) = (field == "network", field == "fmu");
+        match self.misplaced_field(&source) {
+            Some(field) => {
+                let problem = format!("is not for {}", source.description());
+                Err(InvalidMapping::new(field, problem))
+            }
+            None => Ok(source),
+        }
+    }
+
+    /// Returns the first field that belongs to another source.
+    fn misplaced_field(&self, source: &ControllerFileSource) -> Option<String> {
+        let is_network = matches!(source, ControllerFileSource::Network(_));
+        let is_fmu = matches!(source, ControllerFileSource::Fmu(_));
         let input = self
             .inputs
             .iter()
@@ -496,7 +482,7 @@ impl ControllerFile {
             .output
             .as_ref()
             .is_some_and(|output| output.variable.is_some());
-        let misplaced = [
+        let fields = [
             (
                 "files".to_owned(),
                 !self.files.is_empty() && (is_network || is_fmu),
@@ -536,28 +522,48 @@ impl ControllerFile {
             ),
             ("output.variable".to_owned(), output && !is_fmu),
         ];
-        match misplaced
-            .into_iter()
-            .find(|(_, is_misplaced)| *is_misplaced)
+        let misplaced = fields.into_iter().find(|(_, is_misplaced)| *is_misplaced);
+        misplaced.map(|(field, _)| field)
+    }
+
+    /// Loads the network in the file `path`, and gives it the mapping of this file.
+    fn into_network_controller(self, path: &Path) -> Result<NetworkController, InvalidMapping> {
+        let normalised = self.normalised;
+        let mapping = self.into_network_mapping()?;
+        mapping.check()?;
+        let network = NetworkFile::load(path).map_err(|error| {
+            let problem = match &error {
+                NetworkError::Read { source, .. } if source.kind() == ErrorKind::NotFound => {
+                    format!("there is no file {}", path.display())
+                }
+                error => error.to_string(),
+            };
+            InvalidMapping::new("network", problem)
+        })?;
+        if normalised.is_none()
+            && !matches_saved_statistics(&mapping, path)
+            && let Some(reason) = normalisation_evidence(&network, path)
         {
-            Some((field, _)) => Err(InvalidMapping::new(field, format!("is not for {what}"))),
-            None => Ok(drives),
+            let problem = format!(
+                "is missing: {}: {reason}; say `true` once the inputs have the means as offsets and the \
+                 deviations as scales, or `false` if observations were left alone (docs/controllers.md)",
+                path.display()
+            );
+            return Err(InvalidMapping::new("normalised", problem));
         }
+        Ok(NetworkController::new(network, mapping)?.with_normalised(normalised))
     }
 
     /// Returns the mapping of a network, whose fields are all required.
     fn into_network_mapping(self) -> Result<Mapping, InvalidMapping> {
-        let missing = |field| InvalidMapping::new(field, "is missing, and a network needs it");
+        let decision_interval_s = require(self.decision_interval_s, "decision_interval_s")?;
         Ok(Mapping {
-            decision_interval_s: Some(
-                self.decision_interval_s
-                    .ok_or_else(|| missing("decision_interval_s"))?,
-            ),
+            decision_interval_s: Some(decision_interval_s),
             history: self.history,
             history_padding: self.history_padding,
             newest_first: self.newest_first,
-            inputs: self.inputs.ok_or_else(|| missing("inputs"))?,
-            output: self.output.ok_or_else(|| missing("output"))?,
+            inputs: require(self.inputs, "inputs")?,
+            output: require(self.output, "output")?,
         })
     }
 
@@ -602,6 +608,11 @@ impl ControllerFile {
             ..plain
         }
     }
+}
+
+/// Returns the value of a field that a network needs.
+fn require<T>(value: Option<T>, field: &str) -> Result<T, InvalidMapping> {
+    value.ok_or_else(|| InvalidMapping::new(field, "is missing, and a network needs it"))
 }
 
 #[cfg(test)]

@@ -130,9 +130,9 @@ pub fn find_for_user(name: &str, folder: &Path) -> Result<NamedController, Unkno
 /// # Errors
 /// [`UnknownController`], as for [`find_for_user`], and [`UnknownController::NotStarted`].
 pub fn find_and_try(name: &str, folder: &Path) -> Result<NamedController, UnknownController> {
-    let found = find_for_user(name, folder)?;
-    found.try_start()?;
-    Ok(found)
+    let controller = find_for_user(name, folder)?;
+    controller.try_start()?;
+    Ok(controller)
 }
 
 fn find(
@@ -181,38 +181,36 @@ fn open_file(
     folder: &Path,
     named_by: NameOrigin,
 ) -> Result<Arc<dyn ControllerSource>, UnknownController> {
-    let place = folder.join(name);
-    let is_network = NetworkFile::is_network(&place);
+    let path = folder.join(name);
+    let is_network = NetworkFile::is_network(&path);
     if let Some(program) = not_a_controller(name, folder).filter(|_| !is_network) {
         return Err(program);
     }
     if Path::new(name).extension().is_none() && !is_network {
-        if let Some(file) = file_with_extension(&place, name) {
+        if let Some(file) = file_with_extension(&path, name) {
             return Err(UnknownController::MissingExtension {
                 name: name.to_owned(),
                 file,
             });
         }
-        let known: Vec<_> = BuiltInController::all()
+        let names: Vec<_> = BuiltInController::all()
             .iter()
             .map(BuiltInController::name)
             .collect();
         return Err(UnknownController::UnknownName {
             name: name.to_owned(),
-            built_in_names: known.join(", "),
+            built_in_names: names.join(", "),
         });
     }
-    Ok(controller_file::load(&place, named_by)?)
+    Ok(controller_file::load(&path, named_by)?)
 }
 
 /// Returns the file that a name without extension may mean.
-fn file_with_extension(place: &Path, name: &str) -> Option<String> {
+fn file_with_extension(path: &Path, name: &str) -> Option<String> {
     const EXTENSIONS: [&str; 5] = ["toml", "zip", "onnx", "fmu", "safetensors"];
-    let is_there = |ending: &&str| place.with_extension(ending).is_file();
-    EXTENSIONS
-        .into_iter()
-        .find(is_there)
-        .map(|ending| format!("{name}.{ending}"))
+    let mut extensions = EXTENSIONS.into_iter();
+    let extension = extensions.find(|extension| path.with_extension(extension).is_file())?;
+    Some(format!("{name}.{extension}"))
 }
 
 /// Returns the error for a name of a program, a library or a source file.
@@ -223,20 +221,19 @@ fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     let extension = path
         .extension()
         .map(|extension| extension.to_string_lossy().to_lowercase());
-    let is_one_of = |kinds: &[&str]| extension.as_deref().is_some_and(|own| kinds.contains(&own));
-    let (what, hint) = if !is_regular_file(&path) {
+    if !is_regular_file(&path) {
         return None;
-    } else if is_one_of(&LIBRARIES) {
-        ("a shared library", "; export a library as an FMU, F.fmu")
-    } else if is_one_of(&SOURCES) {
-        (
+    }
+    let [what, hint] = match extension.as_deref() {
+        Some(extension) if LIBRARIES.contains(&extension) => {
+            ["a shared library", "; export a library as an FMU, F.fmu"]
+        }
+        Some(extension) if SOURCES.contains(&extension) => [
             "source code",
             "; export a model as an FMU, F.fmu, or a network, F.onnx",
-        )
-    } else if extension.is_none() {
-        ("a file without an extension", "")
-    } else {
-        return None;
+        ],
+        Some(_) => return None,
+        None => ["a file without an extension", ""],
     };
     let command = match extension.as_deref() {
         Some("py") => format!("python3 {name}"),

@@ -6,7 +6,8 @@
 
 use libm::{exp, log, log1p};
 
-/// Outward shift of an end in log-odds; exceeds the rounding error, which `ends_are_never_inside` shows.
+/// Outward shift of an end in log-odds; exceeds the rounding error, which
+/// `interval_ends_are_never_inside_the_exact_ones` shows.
 const ROUNDING_MARGIN: f64 = 1e-12;
 
 /// Returns the rate at which P(X <= `failures`) is `tail`, rounded up; 1 if there is none.
@@ -29,12 +30,14 @@ fn solve_log_odds(k: u64, n: u64, tail: f64) -> Option<f64> {
     if k >= n || !(tail > 0.0 && tail < 1.0) {
         return None;
     }
-    let (wanted, left) = (log(tail), (n - k) as f64);
+    let wanted = log(tail);
+    let left = (n - k) as f64;
     // Start near the median of the rate.
     let mut odds = log((k as f64 + 2.0 / 3.0) / (left - 1.0 / 3.0));
     for step in 0..MAX_STEPS {
         let [p, q] = [1.0 / (1.0 + exp(-odds)), 1.0 / (1.0 + exp(odds))];
-        let (ln_mass, ln_tail) = (ln_pmf(k, n, p, q), ln_cdf(k, n, p, q));
+        let ln_mass = ln_pmf(k, n, p, q);
+        let ln_tail = ln_cdf(k, n, p, q);
         let slope = -left * p * exp(ln_mass - ln_tail);
         let next = odds - (ln_tail - wanted) / slope;
         if !next.is_finite() || (step > 0 && next >= odds) {
@@ -63,7 +66,9 @@ fn ln_cdf(k: u64, n: u64, p: f64, q: f64) -> f64 {
 
 /// Returns P(X <= k)/P(X = k), for k up to the mean.
 fn cdf_to_pmf_ratio(k: u64, n: u64, p: f64, q: f64) -> f64 {
-    let (odds, mut term, mut sum) = (q / p, 1.0, 1.0);
+    let odds = q / p;
+    let mut term = 1.0;
+    let mut sum = 1.0;
     // C(n, i-1)/C(n, i) = i/(n - i + 1).
     for i in (1..=k).rev() {
         term *= i as f64 / (n - i + 1) as f64 * odds;
@@ -97,7 +102,8 @@ fn deviance(x: f64, m: f64) -> f64 {
         return x * log(x / m) + m - x;
     }
     let v = (x - m) / (x + m);
-    let (mut sum, mut power) = ((x - m) * v, 2.0 * x * v);
+    let mut sum = (x - m) * v;
+    let mut power = 2.0 * x * v;
     for odd in (3..200_u32).step_by(2) {
         power *= v * v;
         let next = sum + power / f64::from(odd);
@@ -132,18 +138,18 @@ mod tests {
     use crumple_verify::rate::binomial_tail_upper_bound;
     use proptest::prelude::*;
 
-    fn assert_end(found: f64, exact: f64, outwards: f64) {
-        let beyond = outwards * (found - exact) / exact;
+    fn assert_end(computed: f64, exact: f64, outwards: f64) {
+        let beyond = outwards * (computed - exact) / exact;
         assert!(
             (-1e-15..1e-11).contains(&beyond),
-            "{found:e} {exact:e}: {beyond:e}"
+            "{computed:e} {exact:e}: {beyond:e}"
         );
     }
 
     /// Reference: bisection with 50 digits, or closed forms. scipy 1.16 agrees to 15 digits, except for the upper end
     /// of 12 of 2·10⁷, where it is relatively 6·10⁻¹¹ too low.
     #[test]
-    fn ends_are_those_of_clopper_and_pearson() {
+    fn interval_ends_match_clopper_and_pearson() {
         for (failures, runs, tail, ends) in [
             (
                 3,
@@ -205,7 +211,7 @@ mod tests {
 
         /// Compares with the checker's tail, which rounds upwards by at most eight units in the last place per run.
         #[test]
-        fn ends_are_never_inside(
+        fn interval_ends_are_never_inside_the_exact_ones(
             runs in prop_oneof![1..50_u64, 50..3000_u64, 3000..2_000_000_u64],
             share in prop_oneof![0.0..1.0_f64, 0.0..1e-3_f64],
             tail in prop_oneof![1e-3..0.5_f64, 1e-9..1e-3_f64],

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn exponents_are_for_numbers_that_need_them() {
+    fn only_very_small_and_large_numbers_have_an_exponent() {
         for (number, digits, shown) in [
             (8.31, 3, "8.31"),
             (0.0, 3, "0"),

@@ -14,11 +14,14 @@ pub struct UnsupportedVersion {
 ///
 /// # Errors
 /// [`UnsupportedVersion`] if it is not the supported one.
-pub fn check_version(found: impl Into<u64>, supported: u32) -> Result<(), UnsupportedVersion> {
-    let found = found.into();
-    if found == u64::from(supported) {
+pub fn check_version(version: impl Into<u64>, supported: u32) -> Result<(), UnsupportedVersion> {
+    let version = version.into();
+    if version == u64::from(supported) {
         Ok(())
     } else {
-        Err(UnsupportedVersion { found, supported })
+        Err(UnsupportedVersion {
+            found: version,
+            supported,
+        })
     }
 }

@@ -153,9 +153,9 @@ impl Markdown {
     }
 
     /// Appends the blocks of another text.
-    pub fn append(&mut self, other: &Self) {
-        if !other.text.is_empty() {
-            self.push_block(&other.text);
+    pub fn append(&mut self, blocks: &Self) {
+        if !blocks.text.is_empty() {
+            self.push_block(&blocks.text);
         }
     }
 
@@ -260,7 +260,7 @@ mod tests {
 
         /// With any names, the document has exactly the blocks that it was written with.
         #[test]
-        fn names_are_words_and_nothing_else(names in prop::collection::vec(hostile(), 1..4)) {
+        fn names_never_become_markup(names in prop::collection::vec(hostile(), 1..4)) {
             let text = document(&names).into_string();
             let (mut headings, mut tables, mut rows, mut cells, mut items, mut behind) = (0, 0, 0, 0, 0, 0);
             for event in Parser::new_ext(&text, Options::all()) {
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn code_shows_what_it_holds() {
+    fn code_spans_show_their_text() {
         let words = Inline::prose("as in ").and_code("a`|b").and_prose(": `c`");
         assert_eq!(words.to_table_cell(), "as in `` a`\\|b ``: `c`");
         let mut text = Markdown::default();

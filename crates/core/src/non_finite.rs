@@ -83,22 +83,23 @@ mod tests {
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
     struct RequiredAndOptional {
         #[serde(with = "super")]
-        one: f64,
+        required: f64,
         #[serde(with = "super::optional")]
-        other: Option<f64>,
+        optional: Option<f64>,
     }
 
     #[test]
-    fn infinite_numbers_come_back() {
-        for (one, other) in [
+    fn infinite_numbers_survive_writing_and_reading() {
+        for (required, optional) in [
             (f64::NEG_INFINITY, None),
             (f64::INFINITY, Some(f64::NEG_INFINITY)),
             (-1.5, Some(0.1)),
         ] {
-            let text = serde_json::to_string(&RequiredAndOptional { one, other }).unwrap();
+            let numbers = RequiredAndOptional { required, optional };
+            let text = serde_json::to_string(&numbers).unwrap();
             assert_eq!(
                 serde_json::from_str::<RequiredAndOptional>(&text).unwrap(),
-                RequiredAndOptional { one, other },
+                numbers,
                 "{text}"
             );
         }

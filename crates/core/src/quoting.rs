@@ -99,18 +99,13 @@ fn keep_ends(text: &str, most: usize, end: usize) -> Cow<'_, str> {
     if count <= most {
         return Cow::Borrowed(text);
     }
-    let byte_of = |index: usize| {
-        text.char_indices()
-            .nth(index)
-            .map_or(text.len(), |(byte, _)| byte)
-    };
-    let begin = text
-        .get(..byte_of(most.saturating_sub(end + 1)))
-        .unwrap_or_default();
-    Cow::Owned(format!(
-        "{begin}…{}",
-        text.get(byte_of(count - end)..).unwrap_or_default()
-    ))
+    let [begin_end, end_start] = [most.saturating_sub(end + 1), count - end].map(|index| {
+        let mut bytes = text.char_indices().map(|(byte, _)| byte);
+        bytes.nth(index).unwrap_or(text.len())
+    });
+    let begin = text.get(..begin_end).unwrap_or_default();
+    let end = text.get(end_start..).unwrap_or_default();
+    Cow::Owned(format!("{begin}…{end}"))
 }
 
 fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
@@ -147,6 +142,10 @@ impl Display for TerminalLines<'_> {
     }
 }
 
+fn is_in_word(letter: Option<char>) -> bool {
+    letter.is_some_and(char::is_alphanumeric)
+}
+
 impl Display for MarkdownText<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         let text = self.0.trim_start_matches(char::is_whitespace);
@@ -154,24 +153,23 @@ impl Display for MarkdownText<'_> {
             - text
                 .trim_start_matches(|letter: char| letter.is_ascii_digit())
                 .len();
-        let is_word = |letter: Option<char>| letter.is_some_and(char::is_alphanumeric);
         let mut before = None;
-        for (place, letter) in text.char_indices() {
+        for (index, letter) in text.char_indices() {
             let after = text
-                .get(place + letter.len_utf8()..)
+                .get(index + letter.len_utf8()..)
                 .and_then(|rest| rest.chars().next());
             let ends_word = after.is_none_or(char::is_whitespace);
             // At the start of a block, these begin headings, quotations, rules and lists.
             let begins_block = match letter {
-                '#' | '>' | '=' => place == 0,
-                '-' | '+' => place == 0 && (ends_word || after == Some(letter)),
-                '.' | ')' => place == number && number > 0 && ends_word,
+                '#' | '>' | '=' => index == 0,
+                '-' | '+' => index == 0 && (ends_word || after == Some(letter)),
+                '.' | ')' => index == number && number > 0 && ends_word,
                 _ => false,
             };
             match letter {
                 '\n' | '\r' | '\t' => out.write_char(' ')?,
                 // An underscore within a word has no meaning.
-                '_' if is_word(before) && is_word(after) => out.write_char('_')?,
+                '_' if is_in_word(before) && is_in_word(after) => out.write_char('_')?,
                 // Neither HTML nor an entity begins with these.
                 '<' | '&' if after == Some(' ') => out.write_char(letter)?,
                 '\\' | '`' | '*' | '_' | '<' | '&' | '[' | ']' | '|' | '~' | '$' => {
@@ -258,7 +256,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn nothing_hidden_reaches_a_reader_and_json_means_the_same(text in hostile_text()) {
+        fn hidden_characters_are_escaped_and_json_keeps_its_meaning(text in hostile_text()) {
             prop_assert!(!TerminalText(&text).to_string().chars().any(is_hidden));
             prop_assert!(!TerminalLines(&text).to_string().chars().any(|c| is_hidden(c) && !"\n\t".contains(c)));
             let json = serde_json::to_string(&text).unwrap();
@@ -266,7 +264,7 @@ mod tests {
         }
 
         #[test]
-        fn a_shell_reads_each_word_as_it_was(words in prop::collection::vec(hostile_text(), 0..5)) {
+        fn a_shell_reads_quoted_words_unchanged(words in prop::collection::vec(hostile_text(), 0..5)) {
             let words: Vec<String> = words.into_iter().map(|word| word.replace('\0', "")).collect();
             let line = words.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ");
             prop_assert_eq!(shlex::split(&line).unwrap(), words);
@@ -325,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn each_place_is_quoted_for() {
+    fn text_is_quoted_for_each_output_format() {
         assert_eq!(
             TerminalText("a\u{1b}[2J\nb").to_string(),
             "a\\u001b[2J\\u000ab"

@@ -24,11 +24,11 @@ pub fn permit_pipes(paths: Vec<PathBuf>) {
 pub fn open(path: &Path) -> io::Result<File> {
     let is_permitted = PERMITTED_PIPES
         .get()
-        .is_some_and(|known| known.iter().any(|known| known == path));
+        .is_some_and(|pipes| pipes.iter().any(|pipe| pipe == path));
     if is_permitted
         && path
             .metadata()
-            .is_ok_and(|found| !found.is_file() && !found.is_dir())
+            .is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
     {
         return File::open(path);
     }
@@ -41,8 +41,8 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// Those of [`open`].
 pub fn open_with(path: &Path, options: &OpenOptions) -> io::Result<File> {
     // To open a device may have effects.
-    if let Ok(found) = path.metadata() {
-        ensure_regular(&found)?;
+    if let Ok(metadata) = path.metadata() {
+        ensure_regular(&metadata)?;
     }
     let file = without_waiting(options.clone()).open(path)?;
     // Since the first check, another file may have got the name.
@@ -71,10 +71,10 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn ensure_regular(found: &Metadata) -> io::Result<()> {
-    if found.is_file() {
+fn ensure_regular(metadata: &Metadata) -> io::Result<()> {
+    if metadata.is_file() {
         Ok(())
-    } else if found.is_dir() {
+    } else if metadata.is_dir() {
         Err(io::Error::new(
             io::ErrorKind::IsADirectory,
             "is not a regular file but a folder",
@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_regular_files_are_opened_and_nothing_waits() {
+    fn only_regular_files_are_opened_without_waiting() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         fs::write(at("file"), "text").unwrap();

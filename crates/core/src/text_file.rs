@@ -98,19 +98,6 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
 /// # Errors
 /// [`FileError::Syntax`] with line and field, for a text of more than [`MAX_TOML_BYTES`] or of another form.
 pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
-    let misread = |field: String, error: toml::de::Error| {
-        // For an entry of an array of tagged tables, the span is that of the whole array.
-        let start = error
-            .span()
-            .map_or(0, |span| span.start)
-            .max(locate_in_toml(text, &field).start);
-        let message = prefix_field(&field, &simplify_message(error.message()));
-        FileError::Syntax {
-            path: path.to_owned(),
-            line: line_at(text, start),
-            message,
-        }
-    };
     if text.len() as u64 > MAX_TOML_BYTES {
         let most = MAX_TOML_BYTES >> 20;
         let message = format!(
@@ -123,9 +110,10 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
             message,
         });
     }
-    let parsed = toml::Deserializer::parse(text).map_err(|error| misread(String::new(), error))?;
+    let parsed =
+        toml::Deserializer::parse(text).map_err(|error| toml_error(path, text, "", &error))?;
     serde_path_to_error::deserialize(NamedFields(parsed))
-        .map_err(|error| misread(error.path().to_string(), error.into_inner()))
+        .map_err(|error| toml_error(path, text, &error.path().to_string(), error.inner()))
 }
 
 /// Parses a text of a format of which only version 1 exists.
@@ -152,26 +140,33 @@ pub fn parse_first_version<T: DeserializeOwned>(
 /// [`FileError::Syntax`] with line and field, for a text of another form.
 pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let mut parsed = serde_json::Deserializer::from_str(text);
-    let misread = |field: String, error: serde_json::Error| FileError::Syntax {
+    let value = serde_path_to_error::deserialize(NamedFields(&mut parsed))
+        .map_err(|error| json_error(path, &error.path().to_string(), error.inner()))?;
+    parsed.end().map_err(|error| json_error(path, "", &error))?;
+    Ok(value)
+}
+
+fn json_error(path: &Path, field: &str, error: &serde_json::Error) -> FileError {
+    let message = error.to_string();
+    let message = message.split(" at line ").next().unwrap_or_default();
+    FileError::Syntax {
         path: path.to_owned(),
         line: error.line().max(1),
-        message: prefix_field(
-            &field,
-            &simplify_message(
-                error
-                    .to_string()
-                    .split(" at line ")
-                    .next()
-                    .unwrap_or_default(),
-            ),
-        ),
-    };
-    let value = serde_path_to_error::deserialize(NamedFields(&mut parsed))
-        .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
-    parsed
-        .end()
-        .map_err(|error| misread(String::new(), error))?;
-    Ok(value)
+        message: prefix_field(field, &simplify_message(message)),
+    }
+}
+
+fn toml_error(path: &Path, text: &str, field: &str, error: &toml::de::Error) -> FileError {
+    // For an entry of an array of tagged tables, the span is that of the whole array.
+    let start = error
+        .span()
+        .map_or(0, |span| span.start)
+        .max(locate_in_toml(text, field).start);
+    FileError::Syntax {
+        path: path.to_owned(),
+        line: line_at(text, start),
+        message: prefix_field(field, &simplify_message(error.message())),
+    }
 }
 
 /// Rewrites messages of serde and toml in terms of the file.
@@ -203,14 +198,16 @@ fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
 
 /// Returns the text or number that a message of serde names where a list is required.
 fn single_item(message: &str) -> Option<&str> {
-    let found = message
+    let value = message
         .strip_prefix("invalid type: ")?
         .strip_suffix(", expected a sequence")?;
-    let number = |kind: &str| found.strip_prefix(kind)?.strip_suffix('`');
-    found
-        .strip_prefix("string ")
-        .or_else(|| number("integer `"))
-        .or_else(|| number("floating point `"))
+    if let Some(text) = value.strip_prefix("string ") {
+        return Some(text);
+    }
+    value
+        .strip_prefix("integer `")
+        .or_else(|| value.strip_prefix("floating point `"))?
+        .strip_suffix('`')
 }
 
 /// Prefixes the message with its field, if the parser knows the field.
@@ -218,7 +215,7 @@ fn prefix_field(field: &str, message: &str) -> String {
     // `serde_path_to_error` ends the path with `?` where the text ends.
     let field = field
         .strip_suffix('?')
-        .map_or(field, |known| known.strip_suffix('.').unwrap_or(known));
+        .map_or(field, |path| path.strip_suffix('.').unwrap_or(path));
     if field.is_empty() || field == "." {
         message.to_owned()
     } else {

@@ -116,19 +116,7 @@ pub fn check_binding(
     controllers: Controllers,
 ) -> Result<(), BindingError> {
     if certificate.is_first_version() {
-        let carried = &certificate.provenance.scenario_sha256;
-        let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
-        let claimed = built_in_scenario_names()
-            .iter()
-            .filter_map(|(name, _)| built_in_scenario(name))
-            .find(|one| hash(one) == *carried);
-        let is_of_it =
-            |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
-        return if claimed.as_ref().is_none_or(is_of_it) {
-            Ok(())
-        } else {
-            Err(scene_mismatch())
-        };
+        return check_first_version(certificate, policy);
     }
     match certificate.statement.subject() {
         ClaimSubject::AnyVehicles => Ok(()),
@@ -152,6 +140,25 @@ pub fn check_binding(
                 Err(scene_mismatch())
             }
         }
+    }
+}
+
+fn check_first_version(
+    certificate: &Certificate,
+    policy: Option<&[u8]>,
+) -> Result<(), BindingError> {
+    let claimed = built_in_scenario_names()
+        .iter()
+        .filter_map(|(name, _)| built_in_scenario(name))
+        .find(|scenario| {
+            let sha256 = file::to_toml(scenario).map(sha256).unwrap_or_default();
+            sha256 == certificate.provenance.scenario_sha256
+        });
+    match claimed {
+        Some(scenario) if check_covers_scenario(certificate, &scenario, policy).is_err() => {
+            Err(scene_mismatch())
+        }
+        _ => Ok(()),
     }
 }
 
@@ -346,35 +353,35 @@ pub(super) fn rebuild_plan(
     (controller, second_controller): (NamedController, Option<NamedController>),
     opener: Controllers,
 ) -> Result<RatePlan, BindingError> {
-    let of = |key: &str| {
-        registration
-            .configuration
-            .get(key)
-            .map_or("", String::as_str)
-    };
     let estimator = EstimatorKind::ALL
         .into_iter()
-        .find(|one| one.name() == of("estimator"));
+        .find(|kind| kind.name() == configuration_value(registration, "estimator"));
     let estimator = estimator.ok_or_else(|| {
         mismatch(
             "registration.configuration.estimator",
             "is not a known estimator",
         )
     })?;
-    let seed = of("seed")
+    let seed = configuration_value(registration, "seed")
         .parse()
         .map_err(|_| mismatch("registration.configuration.seed", "must be a whole number"))?;
-    let (runs, confidence) = (registration.runs, registration.confidence);
-    let space = read_space(certificate, opener)?;
     Ok(RatePlan::new(RateConfig {
         controller,
         second_controller,
-        space,
+        space: read_space(certificate, opener)?,
         seed,
         estimator,
-        runs,
-        confidence,
+        runs: registration.runs,
+        confidence: registration.confidence,
     })?)
+}
+
+/// Returns a value of the registered configuration; empty if it has none.
+pub(super) fn configuration_value<'a>(registration: &'a Registration, key: &str) -> &'a str {
+    registration
+        .configuration
+        .get(key)
+        .map_or("", String::as_str)
 }
 
 /// Returns the controllers of a registration if all are built in. A name in a certificate never opens a file or starts
@@ -382,12 +389,11 @@ pub(super) fn rebuild_plan(
 pub(super) fn built_in_controllers(
     registration: &Registration,
 ) -> Option<(NamedController, Option<NamedController>)> {
-    let find = |name: &String| find_built_in(name);
-    let first = find(registration.configuration.get("controller")?)?;
+    let first = find_built_in(registration.configuration.get("controller")?)?;
     let second = registration.configuration.get("against");
     match second {
         None => Some((first, None)),
-        Some(name) => Some((first, Some(find(name)?))),
+        Some(name) => Some((first, Some(find_built_in(name)?))),
     }
 }
 
@@ -397,21 +403,15 @@ fn check_registration(
     opener: Controllers,
 ) -> Result<(), BindingError> {
     let space = read_space(certificate, opener)?;
-    let of = |key: &str| {
-        registration
-            .configuration
-            .get(key)
-            .map_or("", String::as_str)
-    };
     let text = crumple_spaces::file::to_toml(&space).unwrap_or_default();
-    if sha256(text) != of("space_sha256") {
+    if sha256(text) != configuration_value(registration, "space_sha256") {
         return Err(mismatch(
             "provenance.scenario_text",
             "differs from what this program writes for the space",
         ));
     }
     // Other releases may use these names for other controllers.
-    if of("crumple") != env!("CARGO_PKG_VERSION") {
+    if configuration_value(registration, "crumple") != env!("CARGO_PKG_VERSION") {
         return Ok(());
     }
     let Some(controllers) = built_in_controllers(registration) else {

@@ -89,15 +89,15 @@ impl CountedBlock {
                 &mut block.missing_answers,
                 &mut block.second_missing_answers,
             ];
-            for (known, ending) in missing.into_iter().zip(&endings) {
+            for (merged, ending) in missing.into_iter().zip(&endings) {
                 let because = ending.failure_reason.clone();
                 FailedControllerRuns::merge(
-                    known,
+                    merged,
                     because.map(|because| FailedControllerRuns { runs: 1, because }),
                 );
             }
             match endings.as_slice() {
-                [one] if one.failed => block.failures += 1,
+                [run] if run.failed => block.failures += 1,
                 [first, second] if first.failed && second.failed => block.failures += 1,
                 [first, second] if first.failed && !second.failed => block.only_first_failed += 1,
                 // A second controller without an answer is not known to be worse.

@@ -151,7 +151,10 @@ fn joint_confidence(all: &[CertificateReport<'_>]) -> Option<(usize, f64)> {
     (open.len() > 1).then(|| {
         (
             open.len(),
-            (1.0 - open.iter().fold(0.0, |sum: f64, one| (sum + one).next_up())).max(0.0),
+            (1.0 - open
+                .iter()
+                .fold(0.0, |sum: f64, share| (sum + share).next_up()))
+            .max(0.0),
         )
     })
 }

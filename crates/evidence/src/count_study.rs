@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn counts_that_were_not_made_are_not_gone_on_with() {
+    fn inconsistent_counts_are_not_resumed() {
         let plan = plan(3);
         let changes: [fn(&mut CountTally); 3] = [
             |tally| tally.runs = 1201,

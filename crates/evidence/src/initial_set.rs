@@ -36,85 +36,41 @@ impl InitialSet {
     }
 
     fn from_valid_limit(scenario: &Scenario, spec: &BoxSpec) -> Result<Self, InvalidBox> {
-        let wrong = |why: &str| InvalidBox::field("scenario", why);
-        let vehicles = scenario.vehicles();
-        let [leader, ego, rest @ ..] = vehicles else {
-            return Err(wrong("has too few vehicles"));
+        let [leader, ego, rest @ ..] = scenario.vehicles() else {
+            return Err(invalid_scenario("has too few vehicles"));
         };
-        let led = spec.leader_brakes_at_most_mps2;
-        let script = match (&leader.driver, led) {
-            (Driver::Profile(LeadProfile::Brake(brake)), None) => Some(brake),
-            (_, None) => return Err(wrong("the leader must brake at a constant rate")),
-            (Driver::Profile(_), Some(_)) => None,
-            (_, Some(_)) => return Err(wrong("the leader must be scripted")),
-        };
-        let is_plain = vehicles.iter().all(|v| {
-            v.acceleration_noise_mps2 == 0.0
-                && v.response().is_immediate()
-                && v.multi_body().is_none()
-                && v.keeps_lane()
-        });
-        if ego.driver != Driver::UnderTest || !is_plain {
-            return Err(wrong(
-                "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, \
-                 all must have the plant `point-mass`, and all must stay in the lane",
-            ));
-        }
-        if scenario.spec().sensors.faults.is_any() {
-            return Err(wrong(
-                "must have no sensor faults, which the checker does not model",
-            ));
-        }
-        let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
-            ([], None) => (None, None),
+        let script = leader_script(leader, spec.leader_brakes_at_most_mps2)?;
+        check_vehicles_and_sensors(scenario, ego)?;
+        let follower = match (rest, &spec.follower_drives) {
+            ([], None) => FollowerModel::default(),
             ([], Some(_)) => {
                 return Err(InvalidBox::field(
                     FOLLOWER_FIELD,
                     "has no meaning without a follower",
                 ));
             }
-            ([follower], in_place) => follower_model(follower, in_place.as_ref())?,
-            _ => return Err(wrong("only one vehicle may follow the vehicle under test")),
+            ([follower], replacement) => FollowerModel::new(follower, replacement.as_ref())?,
+            _ => {
+                return Err(invalid_scenario(
+                    "only one vehicle may follow the vehicle under test",
+                ));
+            }
         };
-        let step_s = scenario.spec().step_s;
-        let or =
-            |range: Option<Interval>, value: f64| range.unwrap_or_else(|| Interval::point(value));
-        let behind =
-            |range, value: fn(&VehicleSpec) -> f64| or(range, rest.first().map_or(0.0, value));
-        let given = &spec.ranges;
-        let of_script = |range, value: fn(&Brake) -> f64| {
-            script.map_or(Interval::ZERO, |brake| or(range, value(brake)))
-        };
-        let onset_s = of_script(given.onset_s, |brake| brake.onset_s);
-        let ranges = InitialRanges {
-            gap_ahead_m: or(given.gap_ahead_m, scenario.initial_gap_m(1).unwrap_or(0.0)),
-            gap_behind_m: or(given.gap_behind_m, scenario.initial_gap_m(2).unwrap_or(0.0)),
-            leader_speed_mps: or(given.leader_speed_mps, leader.speed_mps),
-            ego_speed_mps: or(given.ego_speed_mps, ego.speed_mps),
-            follower_speed_mps: behind(given.follower_speed_mps, |v| v.speed_mps),
-            leader_brake_mps2: of_script(given.leader_brake_mps2, |brake| brake.rate_mps2),
-            follower_brake_mps2: or(
-                given.follower_brake_mps2,
-                rest.first().map_or(0.0, |_| scenario.usable_brake_mps2(2)),
-            ),
-            onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
-                .ok_or_else(|| InvalidBox::field("ranges.onset_s", "is too large"))?,
-        };
+        let ranges = initial_ranges(scenario, script, &spec.ranges)?;
         if ranges.leader_brake_mps2.high() > scenario.usable_brake_mps2(0) {
             return Err(InvalidBox::field(
                 "ranges.leader_brake_mps2",
                 "exceeds the braking limit of the leader",
             ));
         }
-        let able_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
         Ok(Self {
-            step_s,
+            step_s: scenario.spec().step_s,
             steps: scenario.steps() as u32,
-            follower_ttc_s,
-            follower_law,
-            leader_brakes_at_most_mps2: led,
+            follower_ttc_s: follower.ttc_s,
+            follower_law: follower.law,
+            leader_brakes_at_most_mps2: spec.leader_brakes_at_most_mps2,
             ranges,
-            accel_limits_mps2: able_mps2,
+            accel_limits_mps2: [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()],
         })
     }
 
@@ -142,30 +98,118 @@ impl InitialSet {
     }
 }
 
-/// Returns the model of a follower, with `in_place` instead of its controller if given: the TTC threshold of its
-/// latched emergency brake, or a control law.
-fn follower_model(
-    follower: &VehicleSpec,
-    in_place: Option<&Driver>,
-) -> Result<(Option<f64>, Option<FollowerLaw>), InvalidBox> {
-    let driver = in_place.unwrap_or(&follower.driver);
-    let law = match driver {
-        Driver::Controller(BuiltInController::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
-        Driver::Controller(spec) => control_law(spec, follower.max_accel_mps2()),
-        _ => None,
+fn invalid_scenario(problem: &str) -> InvalidBox {
+    InvalidBox::field("scenario", problem)
+}
+
+/// Returns the braking of the leader's script; `None` if the leader brakes freely within a limit.
+fn leader_script(
+    leader: &VehicleSpec,
+    brakes_at_most_mps2: Option<f64>,
+) -> Result<Option<&Brake>, InvalidBox> {
+    match (&leader.driver, brakes_at_most_mps2) {
+        (Driver::Profile(LeadProfile::Brake(brake)), None) => Ok(Some(brake)),
+        (_, None) => Err(invalid_scenario("the leader must brake at a constant rate")),
+        (Driver::Profile(_), Some(_)) => Ok(None),
+        (_, Some(_)) => Err(invalid_scenario("the leader must be scripted")),
+    }
+}
+
+/// Checks that the checker models all vehicles and sensors.
+fn check_vehicles_and_sensors(scenario: &Scenario, ego: &VehicleSpec) -> Result<(), InvalidBox> {
+    let is_plain = scenario.vehicles().iter().all(|v| {
+        v.acceleration_noise_mps2 == 0.0
+            && v.response().is_immediate()
+            && v.multi_body().is_none()
+            && v.keeps_lane()
+    });
+    if ego.driver != Driver::UnderTest || !is_plain {
+        return Err(invalid_scenario(
+            "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, \
+             all must have the plant `point-mass`, and all must stay in the lane",
+        ));
+    }
+    if scenario.spec().sensors.faults.is_any() {
+        return Err(invalid_scenario(
+            "must have no sensor faults, which the checker does not model",
+        ));
+    }
+    Ok(())
+}
+
+/// Returns the ranges of a box, with the values of the scenario where the box has no range.
+fn initial_ranges(
+    scenario: &Scenario,
+    script: Option<&Brake>,
+    ranges: &RangesSpec,
+) -> Result<InitialRanges, InvalidBox> {
+    let gap_m = |vehicle: usize| scenario.initial_gap_m(vehicle).unwrap_or(0.0);
+    let [leader_mps, ego_mps, follower_mps] = std::array::from_fn(|vehicle| {
+        let spec = scenario.vehicles().get(vehicle);
+        spec.map_or(0.0, |spec| spec.speed_mps)
+    });
+    let has_follower = scenario.vehicles().len() > 2;
+    let follower_brake_mps2 = if has_follower {
+        scenario.usable_brake_mps2(2)
+    } else {
+        0.0
     };
-    match law {
-        Some(law) => Ok((None, Some(law))),
-        None => {
-            let problem = format!(
-                "must drive with baseline, idm or acc-aeb, found {}",
-                driver.name()
-            );
-            Err(match in_place {
-                Some(_) => InvalidBox::field(FOLLOWER_FIELD, problem),
-                None => InvalidBox::field("scenario", format!("its follower {problem}")),
-            })
+    let onset_s = script.map_or(Interval::ZERO, |brake| {
+        range_or_point(ranges.onset_s, brake.onset_s)
+    });
+    let step_s = scenario.spec().step_s;
+    Ok(InitialRanges {
+        gap_ahead_m: range_or_point(ranges.gap_ahead_m, gap_m(1)),
+        gap_behind_m: range_or_point(ranges.gap_behind_m, gap_m(2)),
+        leader_speed_mps: range_or_point(ranges.leader_speed_mps, leader_mps),
+        ego_speed_mps: range_or_point(ranges.ego_speed_mps, ego_mps),
+        follower_speed_mps: range_or_point(ranges.follower_speed_mps, follower_mps),
+        leader_brake_mps2: script.map_or(Interval::ZERO, |brake| {
+            range_or_point(ranges.leader_brake_mps2, brake.rate_mps2)
+        }),
+        follower_brake_mps2: range_or_point(ranges.follower_brake_mps2, follower_brake_mps2),
+        onset_steps: Interval::new(onset_s.low() / step_s, onset_s.high() / step_s)
+            .ok_or_else(|| InvalidBox::field("ranges.onset_s", "is too large"))?,
+    })
+}
+
+fn range_or_point(range: Option<Interval>, value: f64) -> Interval {
+    range.unwrap_or_else(|| Interval::point(value))
+}
+
+/// Model of a follower: the TTC threshold of its latched emergency brake, or a control law.
+#[derive(Default)]
+struct FollowerModel {
+    ttc_s: Option<f64>,
+    law: Option<FollowerLaw>,
+}
+
+impl FollowerModel {
+    /// Creates the model, with `replacement` instead of the follower's controller if given.
+    fn new(follower: &VehicleSpec, replacement: Option<&Driver>) -> Result<Self, InvalidBox> {
+        let driver = replacement.unwrap_or(&follower.driver);
+        let model = match driver {
+            Driver::Controller(BuiltInController::Baseline(aeb)) => Self {
+                ttc_s: Some(aeb.ttc_s),
+                law: None,
+            },
+            Driver::Controller(spec) => Self {
+                ttc_s: None,
+                law: control_law(spec, follower.max_accel_mps2()),
+            },
+            _ => Self::default(),
+        };
+        if model.ttc_s.is_some() || model.law.is_some() {
+            return Ok(model);
         }
+        let problem = format!(
+            "must drive with baseline, idm or acc-aeb, found {}",
+            driver.name()
+        );
+        Err(match replacement {
+            Some(_) => InvalidBox::field(FOLLOWER_FIELD, problem),
+            None => InvalidBox::field("scenario", format!("its follower {problem}")),
+        })
     }
 }
 
@@ -197,8 +241,8 @@ pub(super) fn control_law(spec: &BuiltInController, max_accel_mps2: f64) -> Opti
 
 fn check_leader_limit(
     limit_mps2: f64,
-    able_mps2: f64,
-    given: &RangesSpec,
+    usable_brake_mps2: f64,
+    ranges: &RangesSpec,
 ) -> Result<(), InvalidBox> {
     if !(limit_mps2 >= 0.0 && limit_mps2.is_finite()) {
         return Err(InvalidBox::field(
@@ -206,17 +250,17 @@ fn check_leader_limit(
             format!("must be 0 or more, found {limit_mps2}"),
         ));
     }
-    if limit_mps2 > able_mps2 {
+    if limit_mps2 > usable_brake_mps2 {
         let problem = format!(
-            "exceeds the braking limit of the leader: must be at most {able_mps2} m/s², found {limit_mps2}"
+            "exceeds the braking limit of the leader: must be at most {usable_brake_mps2} m/s², found {limit_mps2}"
         );
         return Err(InvalidBox::field(LEADER_LIMIT_FIELD, problem));
     }
-    let of_script = [
-        ("leader_brake_mps2", given.leader_brake_mps2),
-        ("onset_s", given.onset_s),
+    let script_ranges = [
+        ("leader_brake_mps2", ranges.leader_brake_mps2),
+        ("onset_s", ranges.onset_s),
     ];
-    match of_script.into_iter().find(|(_, range)| range.is_some()) {
+    match script_ranges.into_iter().find(|(_, range)| range.is_some()) {
         Some((name, _)) => {
             let problem = format!(
                 "has no meaning with `{LEADER_LIMIT_FIELD}`: the leader brakes arbitrarily up to that limit"

@@ -39,7 +39,8 @@ pub fn kernel_certificate(
         margin_m,
     ]
     .map(Rational::from_f64);
-    let (b, c) = (b?, c?);
+    let b = b?;
+    let c = c?;
     let harder = b.checked_sub(c)?;
     Some(certificate_without_scenario(Statement::Kernel(
         crumple_verify::KernelClaim {
@@ -66,33 +67,32 @@ struct Rational {
 }
 
 impl Rational {
-    fn new(over: i128, under: i128) -> Option<Self> {
-        let (mut a, mut b) = (over.checked_abs()?, under);
-        while b != 0 {
-            (a, b) = (b, a % b);
+    fn new(numerator: i128, denominator: i128) -> Option<Self> {
+        let mut divisor = numerator.checked_abs()?;
+        let mut remainder = denominator;
+        while remainder != 0 {
+            (divisor, remainder) = (remainder, divisor % remainder);
         }
-        (under > 0).then(|| Self {
-            numerator: over / a,
-            denominator: under / a,
+        (denominator > 0).then(|| Self {
+            numerator: numerator / divisor,
+            denominator: denominator / divisor,
         })
     }
 
     /// Converts a positive number as it is printed.
     fn from_f64(value: f64) -> Option<Self> {
         let text = (value > 0.0 && value.is_finite()).then(|| value.to_string())?;
-        let (whole, places) = text.split_once('.').unwrap_or((&text, ""));
-        let ten = 10_i128.checked_pow(u32::try_from(places.len()).ok()?)?;
-        Self::new(format!("{whole}{places}").parse().ok()?, ten)
+        let (whole, decimals) = text.split_once('.').unwrap_or((&text, ""));
+        let denominator = 10_i128.checked_pow(u32::try_from(decimals.len()).ok()?)?;
+        Self::new(format!("{whole}{decimals}").parse().ok()?, denominator)
     }
 
-    fn checked_sub(self, other: Self) -> Option<Self> {
-        let (a, b) = (
-            self.numerator.checked_mul(other.denominator)?,
-            other.numerator.checked_mul(self.denominator)?,
-        );
+    fn checked_sub(self, subtrahend: Self) -> Option<Self> {
+        let minuend_numerator = self.numerator.checked_mul(subtrahend.denominator)?;
+        let subtrahend_numerator = subtrahend.numerator.checked_mul(self.denominator)?;
         Self::new(
-            a.checked_sub(b)?,
-            self.denominator.checked_mul(other.denominator)?,
+            minuend_numerator.checked_sub(subtrahend_numerator)?,
+            self.denominator.checked_mul(subtrahend.denominator)?,
         )
     }
 
@@ -104,13 +104,13 @@ impl Rational {
 impl std::fmt::Display for Rational {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self {
-            numerator: over,
-            denominator: under,
+            numerator,
+            denominator,
         } = self;
-        if *under == 1 {
-            write!(out, "{over}")
+        if *denominator == 1 {
+            write!(out, "{numerator}")
         } else {
-            write!(out, "{over}/{under}")
+            write!(out, "{numerator}/{denominator}")
         }
     }
 }

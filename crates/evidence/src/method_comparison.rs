@@ -84,14 +84,15 @@ pub struct PairedTest {
 
 impl PairedTest {
     fn new(first: u64, second: u64) -> Self {
-        let of = |only_second_fails, only_first_fails| {
-            DiscordantPairs {
-                only_second_fails,
-                only_first_fails,
-            }
-            .p_value()
-        };
-        let p = (2.0 * of(first, second).min(of(second, first))).min(1.0);
+        let [p_first, p_second] =
+            [[first, second], [second, first]].map(|[only_second_fails, only_first_fails]| {
+                let pairs = DiscordantPairs {
+                    only_second_fails,
+                    only_first_fails,
+                };
+                pairs.p_value()
+            });
+        let p = (2.0 * p_first.min(p_second)).min(1.0);
         Self {
             first,
             second,
@@ -99,53 +100,119 @@ impl PairedTest {
             p_corrected: p,
         }
     }
+
+    /// Tests the seeds for which one method has a better run than the other one.
+    fn from_runs(
+        first: &MethodRuns,
+        second: &MethodRuns,
+        is_better: fn(&FirstFailure, &FirstFailure) -> bool,
+    ) -> Self {
+        let [first_better, second_better] =
+            [[first, second], [second, first]].map(|[method, rival]| {
+                let pairs = method.runs.iter().zip(&rival.runs);
+                pairs.filter(|(run, rival)| is_better(run, rival)).count() as u64
+            });
+        Self::new(first_better, second_better)
+    }
+}
+
+/// Returns the number of simulations; a run without a failure needs more than any with one.
+fn needed_simulations(run: &FirstFailure) -> u64 {
+    run.simulations.unwrap_or(u64::MAX)
+}
+
+/// Returns the median, the mean of both middle numbers of an even number of values.
+fn median(sorted: &[u64]) -> Option<f64> {
+    let upper = *sorted.get(sorted.len() / 2)? as f64;
+    let lower = *sorted.get(sorted.len().saturating_sub(1) / 2)? as f64;
+    Some(f64::midpoint(lower, upper))
 }
 
 impl MethodRuns {
     fn new(method: &Method, runs: Vec<FirstFailure>) -> Self {
         let mut simulations: Vec<u64> = runs.iter().filter_map(|run| run.simulations).collect();
         simulations.sort_unstable();
-        let (falsified, count) = (simulations.len(), runs.len());
-        let interval = RateInterval::clopper_pearson(falsified as u64, count as u64, CONFIDENCE);
-        let middle = |index: usize| simulations.get(index).map(|&number| number as f64);
+        let falsified = simulations.len();
+        let interval =
+            RateInterval::clopper_pearson(falsified as u64, runs.len() as u64, CONFIDENCE);
         Self {
             method: method.name().to_owned(),
             falsified: falsified as u64,
-            falsification_rate: falsified as f64 / count as f64,
+            falsification_rate: falsified as f64 / runs.len() as f64,
             interval: [interval.lower, interval.upper],
             mean_simulations: (falsified > 0)
                 .then(|| simulations.iter().sum::<u64>() as f64 / falsified as f64),
-            median_simulations: middle(falsified / 2)
-                .zip(middle(falsified.saturating_sub(1) / 2))
-                .map(|(upper, lower)| f64::midpoint(lower, upper)),
+            median_simulations: median(&simulations),
             runs,
         }
+    }
+
+    fn table_row(&self) -> String {
+        let share = format!("{}/{}", self.falsified, self.runs.len());
+        let [low, high] = self.interval.map(|share| 100.0 * share);
+        let interval = format!("{low:.1} to {high:.1} %");
+        let [mean, median] = [self.mean_simulations, self.median_simulations]
+            .map(|number| number.map_or("-".to_owned(), |number| format!("{number:.1}")));
+        format!(
+            "{:<20} {share:>10} {interval:>17} {mean:>10} {median:>10}\n",
+            self.method
+        )
     }
 }
 
 impl MethodPair {
-    fn new(one: &MethodRuns, other: &MethodRuns) -> Self {
-        let count = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool,
-                     [one, other]: [&MethodRuns; 2]| {
-            one.runs
-                .iter()
-                .zip(&other.runs)
-                .filter(|(one, other)| is_better(one, other))
-                .count() as u64
-        };
-        let both = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool| {
-            PairedTest::new(
-                count(is_better, [one, other]),
-                count(is_better, [other, one]),
-            )
-        };
-        // A run without a failure needs more simulations than any with one.
-        let needed = |run: &FirstFailure| run.simulations.unwrap_or(u64::MAX);
+    fn new(first: &MethodRuns, second: &MethodRuns) -> Self {
         Self {
-            methods: [one.method.clone(), other.method.clone()],
-            falsified: both(&|one, other| one.simulations.is_some() && other.simulations.is_none()),
-            fewer_simulations: both(&|one, other| needed(one) < needed(other)),
+            methods: [first.method.clone(), second.method.clone()],
+            falsified: PairedTest::from_runs(first, second, |run, rival| {
+                run.simulations.is_some() && rival.simulations.is_none()
+            }),
+            fewer_simulations: PairedTest::from_runs(first, second, |run, rival| {
+                needed_simulations(run) < needed_simulations(rival)
+            }),
         }
+    }
+
+    fn sentence(&self) -> String {
+        let Self {
+            methods: [first, second],
+            falsified,
+            fewer_simulations,
+        } = self;
+        format!(
+            "{first} against {second}: only one falsifies {} to {} (p {:.3}); fewer simulations {} to {} (p {:.3})\n",
+            falsified.first,
+            falsified.second,
+            falsified.p_corrected,
+            fewer_simulations.first,
+            fewer_simulations.second,
+            fewer_simulations.p_corrected
+        )
+    }
+}
+
+/// Progress of the runs of all methods.
+struct ComparisonProgress<'a> {
+    observer: &'a dyn Observer<CampaignProgress>,
+    total: u64,
+    evaluations: u64,
+    failures: u64,
+}
+
+impl ComparisonProgress<'_> {
+    /// Runs a campaign up to its first failure, and reports its progress within the comparison.
+    fn find_first_failure(&mut self, campaign: &Campaign) -> Result<FirstFailure, CampaignError> {
+        let run = campaign.find_first_failure(&|progress: &CampaignProgress| {
+            self.observer.observe(&CampaignProgress {
+                evaluations: self.evaluations + progress.evaluations,
+                total: self.total,
+                failures: self.failures + progress.failures,
+                ..progress.clone()
+            })
+        })?;
+        self.evaluations += campaign.search.budget;
+        self.failures += u64::from(run.simulations.is_some());
+        Ok(run)
     }
 }
 
@@ -165,55 +232,33 @@ impl MethodComparison {
         CampaignError::check_range("seeds", seeds, 1..=MAX_SEEDS)?;
         CampaignError::check_range("methods", methods.len() as u64, 1..=MAX_METHODS)?;
         let budget = campaign.search.budget;
-        let total = budget
-            .saturating_mul(seeds)
-            .saturating_mul(methods.len() as u64);
-        let (mut results, mut finished, mut failures) = (Vec::new(), 0, 0);
+        let mut progress = ComparisonProgress {
+            observer,
+            total: budget
+                .saturating_mul(seeds)
+                .saturating_mul(methods.len() as u64),
+            evaluations: 0,
+            failures: 0,
+        };
+        let mut results = Vec::new();
         for method in methods {
             let mut runs = Vec::new();
             for seed in campaign.seed..campaign.seed.saturating_add(seeds) {
-                let observe = |progress: &CampaignProgress| {
-                    let evaluations = finished + progress.evaluations;
-                    let failures = failures + progress.failures;
-                    observer.observe(&CampaignProgress {
-                        evaluations,
-                        total,
-                        failures,
-                        ..progress.clone()
-                    })
-                };
-                let run = Campaign {
+                runs.push(progress.find_first_failure(&Campaign {
                     seed,
                     ..campaign.clone().with_method(method.clone())
-                }
-                .find_first_failure(&observe)?;
-                finished += budget;
-                failures += u64::from(run.simulations.is_some());
-                runs.push(run);
+                })?);
             }
             results.push(MethodRuns::new(method, runs));
         }
-        let pairs = results.iter().enumerate().flat_map(|(index, one)| {
-            results
-                .iter()
-                .skip(index + 1)
-                .map(move |other| MethodPair::new(one, other))
-        });
-        let mut pairs: Vec<MethodPair> = pairs.collect();
-        correct_by_holm(
-            pairs
-                .iter_mut()
-                .flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations])
-                .collect(),
-        );
         Ok(Self {
             controller: campaign.controller.name.clone(),
             space: campaign.space.name().to_owned(),
             specification: campaign.specification.to_string(),
             budget,
             first_seed: campaign.seed,
+            pairs: compare_pairs(&results),
             methods: results,
-            pairs,
         })
     }
 
@@ -240,46 +285,11 @@ impl MethodComparison {
             "mean",
             "median"
         );
-        let number =
-            |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
-        for MethodRuns {
-            method,
-            falsified,
-            interval,
-            mean_simulations,
-            median_simulations,
-            ..
-        } in methods
-        {
-            let share = format!("{falsified}/{seeds}");
-            let interval = format!("{:.1} to {:.1} %", 100.0 * interval[0], 100.0 * interval[1]);
-            let (mean, median) = (number(*mean_simulations), number(*median_simulations));
-            // Writing to a string does not fail.
-            let _ = writeln!(
-                text,
-                "{method:<20} {share:>10} {interval:>17} {mean:>10} {median:>10}"
-            );
-        }
+        text.extend(methods.iter().map(MethodRuns::table_row));
         if !pairs.is_empty() {
             text += "\nOn the same seeds (p: exact, two-sided, with the correction of Holm):\n";
         }
-        for MethodPair {
-            methods: [one, other],
-            falsified,
-            fewer_simulations,
-        } in pairs
-        {
-            let _ = writeln!(
-                text,
-                "{one} against {other}: only one falsifies {} to {} (p {:.3}); fewer simulations {} to {} (p {:.3})",
-                falsified.first,
-                falsified.second,
-                falsified.p_corrected,
-                fewer_simulations.first,
-                fewer_simulations.second,
-                fewer_simulations.p_corrected
-            );
-        }
+        text.extend(pairs.iter().map(MethodPair::sentence));
         text
     }
 
@@ -292,6 +302,7 @@ impl MethodComparison {
                 let simulations = run
                     .simulations
                     .map_or_else(String::new, |number| number.to_string());
+                // Writing to a string does not fail.
                 let _ = writeln!(
                     text,
                     "{method},{seed},{simulations},{}",
@@ -303,14 +314,29 @@ impl MethodComparison {
     }
 }
 
+/// Compares all pairs of methods.
+fn compare_pairs(results: &[MethodRuns]) -> Vec<MethodPair> {
+    let pairs = results.iter().enumerate().flat_map(|(index, first)| {
+        let later = results.iter().skip(index + 1);
+        later.map(move |second| MethodPair::new(first, second))
+    });
+    let mut pairs: Vec<MethodPair> = pairs.collect();
+    let tests = pairs
+        .iter_mut()
+        .flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations]);
+    correct_by_holm(tests.collect());
+    pairs
+}
+
 /// Corrects p-values for their number. Source: Holm 1979, "A simple sequentially rejective multiple test procedure",
 /// Scandinavian Journal of Statistics 6, 65-70.
 fn correct_by_holm(mut tests: Vec<&mut PairedTest>) {
-    tests.sort_by(|one, other| one.p.total_cmp(&other.p));
-    let (count, mut least) = (tests.len(), 0.0_f64);
+    tests.sort_by(|a, b| a.p.total_cmp(&b.p));
+    let count = tests.len();
+    let mut smallest = 0.0_f64;
     for (rank, test) in tests.into_iter().enumerate() {
-        least = least.max(((count - rank) as f64 * test.p).min(1.0));
-        test.p_corrected = least;
+        smallest = smallest.max(((count - rank) as f64 * test.p).min(1.0));
+        test.p_corrected = smallest;
     }
 }
 
@@ -333,15 +359,22 @@ mod tests {
     }
 
     #[test]
-    fn measures_and_tests_by_hand() {
-        let one = result("one", &[Some(4), Some(2), Some(9), Some(1), None, Some(5)]);
-        let other = result("other", &[Some(5), None, Some(9), None, None, Some(7)]);
+    fn measures_and_tests_match_those_by_hand() {
+        let first = result(
+            "first",
+            &[Some(4), Some(2), Some(9), Some(1), None, Some(5)],
+        );
+        let second = result("second", &[Some(5), None, Some(9), None, None, Some(7)]);
         assert_eq!(
-            (one.falsified, one.mean_simulations, one.median_simulations),
+            (
+                first.falsified,
+                first.mean_simulations,
+                first.median_simulations
+            ),
             (5, Some(4.2), Some(4.0))
         );
         assert_eq!(
-            (other.mean_simulations, other.median_simulations),
+            (second.mean_simulations, second.median_simulations),
             (Some(7.0), Some(7.0))
         );
         assert_eq!(result("none", &[None]).median_simulations, None);
@@ -349,7 +382,7 @@ mod tests {
             falsified,
             fewer_simulations,
             ..
-        } = MethodPair::new(&one, &other);
+        } = MethodPair::new(&first, &second);
         for (test, first, p) in [(falsified, 2, 0.5), (fewer_simulations, 4, 0.125)] {
             assert!(
                 (test.first, test.second) == (first, 0) && (test.p - p).abs() < 1e-12,

@@ -45,7 +45,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn by_hand() {
+    fn p_values_match_those_by_hand() {
         let p = |new, fixed| {
             DiscordantPairs {
                 only_second_fails: new,
@@ -75,7 +75,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn is_monotone(new in 0..4000_u64, fixed in 0..4000_u64) {
+        fn p_value_is_monotone(new in 0..4000_u64, fixed in 0..4000_u64) {
             let p = |new, fixed| DiscordantPairs { only_second_fails: new, only_first_fails: fixed }.p_value();
             prop_assert!((0.0..=1.0).contains(&p(new, fixed)));
             prop_assert!(p(new + 1, fixed) <= p(new, fixed) + 1e-9 && p(new, fixed + 1) >= p(new, fixed) - 1e-9);

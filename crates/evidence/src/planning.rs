@@ -53,7 +53,8 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
     if failures >= MAX_RUNS || !suffices(MAX_RUNS) {
         return Err(too_many);
     }
-    let (mut low, mut high) = (failures, MAX_RUNS);
+    let mut low = failures;
+    let mut high = MAX_RUNS;
     while high - low > 1 {
         let middle = low + (high - low) / 2;
         if suffices(middle) {
@@ -79,7 +80,7 @@ mod tests {
     use crumple_verify::rate::binomial_tail_upper_bound;
 
     #[test]
-    fn as_many_runs_as_it_takes_and_no_more() {
+    fn required_runs_suffice_and_slightly_fewer_do_not() {
         for (rate, confidence, failures) in [
             (0.5, 0.51, 0),
             (1e-2, 0.99, 0),

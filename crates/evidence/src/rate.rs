@@ -74,16 +74,88 @@ impl RateConfig {
     /// Configures a count of one controller with the Kalman filter, seed 0 and confidence level 0.99.
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace, runs: u64) -> Self {
-        let (controller, estimator) = (controller.into(), EstimatorKind::Kalman);
         Self {
-            controller,
+            controller: controller.into(),
             second_controller: None,
             space,
             seed: 0,
-            estimator,
+            estimator: EstimatorKind::Kalman,
             runs,
             confidence: 0.99,
         }
+    }
+
+    fn controllers(&self) -> impl Iterator<Item = &NamedController> {
+        std::iter::once(&self.controller).chain(&self.second_controller)
+    }
+
+    fn check(&self) -> Result<(), InvalidRate> {
+        if !(1..=MAX_RUNS).contains(&self.runs) {
+            return Err(InvalidRate::Runs { found: self.runs });
+        }
+        if !(self.confidence > 0.5 && self.confidence < 1.0) {
+            return Err(InvalidRate::Confidence {
+                found: self.confidence,
+            });
+        }
+        let space = &self.space;
+        if space
+            .scenario(&space.nominal())
+            .is_ok_and(|nominal| !nominal.has_vehicle_under_test())
+        {
+            return Err(InvalidRate::NoVehicleUnderTest {
+                space: space.name().to_owned(),
+            });
+        }
+        let mut controllers = self.controllers();
+        match controllers.find(|controller| controller.source.identity().is_none()) {
+            Some(unknown) => Err(InvalidRate::NoIdentity {
+                controller: unknown.name.clone(),
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Returns the registered facts about the count: controllers, space and settings.
+    fn registered_facts(&self, space_text: &str) -> Result<BTreeMap<String, String>, InvalidRate> {
+        let space = &self.space;
+        let horizon_s = space.scenario(&space.nominal())?.spec().duration_s;
+        let failure = self
+            .controllers()
+            .map(NamedController::failure_description)
+            .max()
+            .unwrap_or_default();
+        let mut facts = BTreeMap::from([
+            ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("estimator".to_owned(), self.estimator.name().to_owned()),
+            ("failure".to_owned(), failure.to_owned()),
+            ("horizon_s".to_owned(), horizon_s.to_string()),
+            ("seed".to_owned(), self.seed.to_string()),
+            ("space".to_owned(), space.name().to_owned()),
+            ("space_sha256".to_owned(), sha256(space_text)),
+        ]);
+        for (role, controller) in ["controller", "against"]
+            .into_iter()
+            .zip(self.controllers())
+        {
+            facts.insert(role.to_owned(), controller.name.clone());
+            if let Some(identity) = controller.source.identity() {
+                facts.insert(format!("{role}_sha256"), identity);
+            }
+            if let Some(policy) = controller.policy() {
+                facts.insert(format!("{role}_policy_sha256"), policy.digest());
+            }
+        }
+        Ok(facts)
+    }
+
+    fn block_runs(&self) -> u64 {
+        let blocks = if self.runs > LARGE_COUNT_RUNS {
+            MAX_LARGE_COUNT_BLOCKS
+        } else {
+            MAX_BLOCKS
+        };
+        self.runs.div_ceil(blocks).max(MIN_BLOCK_RUNS)
     }
 }
 
@@ -177,88 +249,26 @@ impl RatePlan {
     /// println!("{}", crumple_verify::check(&counted.certificate.unwrap()).unwrap());
     /// ```
     pub fn new(config: RateConfig) -> Result<Self, InvalidRate> {
-        let RateConfig {
-            controller,
-            second_controller,
-            space,
-            seed,
-            estimator,
-            runs,
-            confidence,
-        } = config;
-        if !(1..=MAX_RUNS).contains(&runs) {
-            return Err(InvalidRate::Runs { found: runs });
-        }
-        if !(confidence > 0.5 && confidence < 1.0) {
-            return Err(InvalidRate::Confidence { found: confidence });
-        }
-        if space
-            .scenario(&space.nominal())
-            .is_ok_and(|nominal| !nominal.has_vehicle_under_test())
-        {
-            return Err(InvalidRate::NoVehicleUnderTest {
-                space: space.name().to_owned(),
-            });
-        }
-        let controllers: Vec<NamedController> = std::iter::once(controller)
-            .chain(second_controller)
-            .collect();
-        if let Some(unknown) = controllers
-            .iter()
-            .find(|driver| driver.source.identity().is_none())
-        {
-            return Err(InvalidRate::NoIdentity {
-                controller: unknown.name.clone(),
-            });
-        }
-        let space_text = file::to_toml(&space)?;
-        let horizon_s = space.scenario(&space.nominal())?.spec().duration_s;
-        let failure = controllers
-            .iter()
-            .map(NamedController::failure_description)
-            .max()
-            .unwrap_or_default();
-        let mut configuration = BTreeMap::from([
-            ("crumple".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-            ("estimator".to_owned(), estimator.name().to_owned()),
-            ("failure".to_owned(), failure.to_owned()),
-            ("horizon_s".to_owned(), horizon_s.to_string()),
-            ("seed".to_owned(), seed.to_string()),
-            ("space".to_owned(), space.name().to_owned()),
-            ("space_sha256".to_owned(), sha256(&space_text)),
-        ]);
-        for (role, driver) in ["controller", "against"].into_iter().zip(&controllers) {
-            configuration.insert(role.to_owned(), driver.name.clone());
-            if let Some(identity) = driver.source.identity() {
-                configuration.insert(format!("{role}_sha256"), identity);
-            }
-            if let Some(policy) = driver.policy() {
-                configuration.insert(format!("{role}_policy_sha256"), policy.digest());
-            }
-        }
-        let blocks = if runs > LARGE_COUNT_RUNS {
-            MAX_LARGE_COUNT_BLOCKS
-        } else {
-            MAX_BLOCKS
-        };
-        let block_runs = runs.div_ceil(blocks).max(MIN_BLOCK_RUNS);
+        config.check()?;
+        let space_text = file::to_toml(&config.space)?;
         let registration = Registration {
-            configuration,
-            runs,
-            confidence,
-            block_runs: Some(block_runs),
-        };
-        let record = CountRecord {
-            registration,
-            space_text,
+            configuration: config.registered_facts(&space_text)?,
+            runs: config.runs,
+            confidence: config.confidence,
+            block_runs: Some(config.block_runs()),
         };
         Ok(Self {
-            controllers,
-            space,
-            seed,
-            estimator,
+            controllers: std::iter::once(config.controller)
+                .chain(config.second_controller)
+                .collect(),
+            space: config.space,
+            seed: config.seed,
+            estimator: config.estimator,
             resampling: DEFAULT_RESAMPLING,
-            record,
+            record: CountRecord {
+                registration,
+                space_text,
+            },
         })
     }
 
@@ -388,23 +398,17 @@ impl RatePlan {
             keep_going()?;
         }
         let registered = self.registration().digest();
-        let places: Vec<usize> = (0..indices.len()).collect();
-        let counted = places
-            .chunks(self.record.block_runs() as usize)
-            .map(|places| {
-                let first = places
-                    .first()
-                    .and_then(|&place| indices.get(place))
-                    .copied()
-                    .unwrap_or_default();
-                let of_run = |&place: &usize| {
-                    endings
-                        .iter()
-                        .filter_map(|of| of.get(place))
-                        .collect::<Vec<&RunFingerprint>>()
-                };
-                CountedBlock::from_runs(&registered, first, places.iter().map(of_run))
+        let block_runs = self.record.block_runs() as usize;
+        let blocks = indices.chunks(block_runs).enumerate();
+        let counted = blocks.map(|(block, block_indices)| {
+            let first = block_indices.first().copied().unwrap_or_default();
+            let start = block * block_runs;
+            let fingerprints = (start..start + block_indices.len()).map(|run| {
+                let of_controllers = endings.iter().filter_map(|endings| endings.get(run));
+                of_controllers.collect::<Vec<&RunFingerprint>>()
             });
+            CountedBlock::from_runs(&registered, first, fingerprints)
+        });
         Ok(counted.collect())
     }
 
@@ -422,28 +426,30 @@ impl RatePlan {
         let Some(resampling) = self.resampling() else {
             return Ok(None);
         };
-        let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
-            self.count_failures(space, (seed, runs), &counter)
-        };
         let resamples = count_on_resamples(
             &self.space,
             self.seed,
             resampling.0,
             resampling.1,
-            &mut failures,
+            &mut |space, seed, runs| self.count_failures(space, seed, runs, &counter),
         )?;
-        let known = FailureProbability::Counted {
+        let probability = FailureProbability::Counted {
             failures: tally.failures,
             unknown: 0,
             runs: tally.runs,
         };
-        Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
+        Ok(RatePerExposure::new(
+            &self.space,
+            probability,
+            resamples.as_ref(),
+        ))
     }
 
     fn count_failures(
         &self,
         space: &ScenarioSpace,
-        (seed, runs): (u64, u64),
+        seed: u64,
+        runs: u64,
         counter: &ProgressCounter<'_>,
     ) -> Result<u64, RateError> {
         let indices: Vec<u64> = (0..runs).collect();
@@ -466,37 +472,35 @@ impl RatePlan {
         seed: u64,
         indices: &[u64],
     ) -> Result<Vec<Vec<RunFingerprint>>, RateError> {
-        let draw = |&index: &u64| {
-            space
-                .draw(seed, index)
-                .map_err(|source| RateError::Draw { index, source })
-        };
         let scenarios = indices
             .par_iter()
-            .map(draw)
+            .map(|&index| {
+                let scenario = space.draw(seed, index);
+                scenario.map_err(|source| RateError::Draw { index, source })
+            })
             .collect::<Result<Vec<_>, _>>()?;
-        let endings = |driver: &NamedController| {
-            let options = RunOptions::new(driver.source.clone()).with_estimator(self.estimator);
-            let runs = scenarios.iter().zip(indices).map(|(scenario, &index)| {
-                Run::new(scenario, options.clone())
-                    .map_err(|source| RateError::Run { index, source })
-            });
-            let runs = runs.collect::<Result<Vec<_>, _>>()?;
-            Ok(simulate_batch(
-                &runs,
-                RecordingLevel::Summary,
-                |_, result| RunFingerprint::new(&result),
-            ))
-        };
-        let endings = self
+        let fingerprints = self
             .controllers
             .iter()
-            .map(endings)
+            .map(|controller| {
+                let options =
+                    RunOptions::new(controller.source.clone()).with_estimator(self.estimator);
+                let runs = scenarios.iter().zip(indices).map(|(scenario, &index)| {
+                    Run::new(scenario, options.clone())
+                        .map_err(|source| RateError::Run { index, source })
+                });
+                let runs = runs.collect::<Result<Vec<_>, _>>()?;
+                Ok(simulate_batch(
+                    &runs,
+                    RecordingLevel::Summary,
+                    |_, result| RunFingerprint::new(&result),
+                ))
+            })
             .collect::<Result<Vec<_>, RateError>>()?;
         self.controllers
             .iter()
             .try_for_each(NamedController::ensure_trusted)?;
-        Ok(endings)
+        Ok(fingerprints)
     }
 
     /// Builds the certificate of a complete tally. For one controller it states the lowest accepted rate, to nine

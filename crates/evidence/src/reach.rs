@@ -5,6 +5,7 @@
 
 mod report;
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -30,8 +31,8 @@ use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunError, RunOptions, si
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::random::{self, Purpose};
 use crumple_sim::scenario::{
-    Brake, Driver, InvalidField, LeadProfile, Scenario, VehicleSpec, built_in_scenario,
-    built_in_scenario_names, file,
+    Brake, Driver, InvalidField, LeadProfile, Scenario, built_in_scenario, built_in_scenario_names,
+    file,
 };
 pub use report::ReachReport;
 
@@ -186,6 +187,95 @@ impl PartitionNode {
     }
 }
 
+fn with_ranges<'a>(problem: &ReachProblem<'a>, ranges: InitialRanges) -> ReachProblem<'a> {
+    ReachProblem {
+        ranges,
+        ..problem.clone()
+    }
+}
+
+/// Boxes of a partition. The first is the whole box.
+struct PartitionTree {
+    nodes: Vec<PartitionNode>,
+    /// Share of the volume without collisions.
+    verified: f64,
+    /// Smallest gap in the verified boxes, in metres.
+    min_gap_m: f64,
+}
+
+impl PartitionTree {
+    fn new(ranges: InitialRanges) -> Self {
+        Self {
+            nodes: vec![PartitionNode::new(ranges)],
+            verified: 0.0,
+            min_gap_m: f64::INFINITY,
+        }
+    }
+
+    /// Stores the result of a node at a level. Bisects an undecided box if it may, and returns its new children.
+    fn set_result(
+        &mut self,
+        node: usize,
+        result: ReachResult,
+        level: u32,
+        may_bisect: bool,
+    ) -> Range<usize> {
+        let children = self.nodes.len();
+        self.nodes[node].result = Some(result);
+        if result.undecided.is_none() {
+            self.nodes[node].cell = PartitionCell::Verified;
+            self.verified += 0.5_f64.powi(level as i32);
+            let [ahead_m, behind_m] = result.gaps_m;
+            self.min_gap_m = self.min_gap_m.min(ahead_m).min(behind_m);
+        } else if may_bisect
+            && children + 1 < MAX_BOXES
+            && let Some((dimension, halves)) = choose_cut(&self.nodes[node].ranges, &result)
+        {
+            self.nodes[node].cell = PartitionCell::Cut(dimension);
+            self.nodes[node].first_child = Some(children);
+            self.nodes.extend(halves.map(PartitionNode::new));
+        }
+        children..self.nodes.len()
+    }
+
+    /// Returns the smallest gap, rounded down to micrometres, so that other rounding in another version keeps the
+    /// proof.
+    fn min_gap_m_at_least(&self) -> f64 {
+        if self.min_gap_m.is_finite() {
+            (self.min_gap_m * 1e6).floor() / 1e6
+        } else {
+            0.0
+        }
+    }
+
+    /// Returns the cells in the order of the certificate: each before its halves, the lower half first.
+    fn cells(&self) -> Vec<PartitionCell> {
+        let mut cells = Vec::new();
+        let mut pending = vec![0_usize];
+        while let Some(number) = pending.pop() {
+            let node = &self.nodes[number];
+            cells.push(node.cell);
+            if let Some(lower) = node.first_child {
+                pending.extend([lower + 1, lower]);
+            }
+        }
+        cells
+    }
+
+    fn undecided_counts(&self) -> UndecidedCounts {
+        let mut counts = UndecidedCounts::default();
+        let undecided = self.nodes.iter();
+        for node in undecided.filter(|node| node.cell == PartitionCell::Undecided) {
+            match node.result.and_then(|result| result.undecided) {
+                Some(Undecided::MayCollide { pair: 0, .. }) => counts.ahead += 1,
+                Some(Undecided::MayCollide { .. }) => counts.behind += 1,
+                _ => counts.too_wide += 1,
+            }
+        }
+        counts
+    }
+}
+
 impl BoxSpec {
     /// Creates a box around a scenario, with the true state as observation.
     #[must_use]
@@ -208,6 +298,57 @@ impl BoxSpec {
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
         text_file::parse_first_version(text, path, |spec: &Self| spec.version)
     }
+
+    /// Returns the scenario of the box, in which the follower's controller can be replaced as stated.
+    fn find_scenario(&self) -> Result<Scenario, InvalidBox> {
+        let Some(scenario) = built_in_scenario(&self.scenario) else {
+            let names: Vec<_> = built_in_scenario_names()
+                .iter()
+                .map(|(name, _)| *name)
+                .collect();
+            return Err(InvalidBox::field(
+                "scenario",
+                format!(
+                    "must be a built-in scenario ({}), found `{}`",
+                    names.join(", "),
+                    self.scenario
+                ),
+            ));
+        };
+        if let Some(driver) = &self.follower_drives {
+            let edited = scenario.edited(|spec| {
+                if let Some(follower) = spec.vehicles.get_mut(2) {
+                    follower.driver = driver.clone();
+                }
+            });
+            edited.map_err(map_invalid_start)?;
+        }
+        Ok(scenario)
+    }
+}
+
+fn claim_without_partition(
+    digest: String,
+    actor: &NeuralController,
+    initial: InitialSet,
+    spec: &BoxSpec,
+) -> ReachClaim {
+    ReachClaim {
+        policy_file: controller_file_name(&digest, actor.source.is_some()),
+        policy_sha256: digest,
+        source: actor.source.clone(),
+        step_s: initial.step_s,
+        steps: initial.steps,
+        follower_ttc_s: initial.follower_ttc_s,
+        follower_law: initial.follower_law.map(Box::new),
+        leader_brakes_at_most_mps2: initial.leader_brakes_at_most_mps2,
+        observation_error: spec.observation_error,
+        ranges: initial.ranges,
+        partition: Vec::new(),
+        verified_share_at_least: 0.0,
+        falsified_share_at_least: 0.0,
+        min_gap_m_at_least: 0.0,
+    }
 }
 
 impl ReachPlan {
@@ -218,62 +359,25 @@ impl ReachPlan {
     /// limits of the vehicle.
     pub fn new(controller: impl IntoSource, spec: &BoxSpec) -> Result<Self, InvalidBox> {
         let controller = controller.into_source();
-        let scenario = built_in_scenario(&spec.scenario).ok_or_else(|| {
-            let known: Vec<_> = built_in_scenario_names()
-                .iter()
-                .map(|(name, _)| *name)
-                .collect();
-            InvalidBox::field(
-                "scenario",
-                format!(
-                    "must be a built-in scenario ({}), found `{}`",
-                    known.join(", "),
-                    spec.scenario
-                ),
-            )
-        })?;
-        if let Some(driver) = &spec.follower_drives {
-            let drives = |vehicle: &mut VehicleSpec| vehicle.driver = driver.clone();
-            scenario
-                .edited(|spec| spec.vehicles.get_mut(2).into_iter().for_each(drives))
-                .map_err(map_invalid_start)?;
-        }
-        let starts = InitialSet::new(&scenario, spec)?;
+        let scenario = spec.find_scenario()?;
+        let initial = InitialSet::new(&scenario, spec)?;
         let bytes = checker_file(&controller)?.ok_or_else(|| {
             InvalidBox::Controller("must be a policy of crumple or a network".to_owned())
         })?;
         let actor = NeuralController::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
-        if !starts.can_execute(actor.action_bounds_mps2) {
+        if !initial.can_execute(actor.action_bounds_mps2) {
             return Err(excessive_command_error(
                 actor.action_bounds_mps2,
-                starts.accel_limits_mps2,
+                initial.accel_limits_mps2,
                 &controller,
             ));
         }
-        let digest = sha256(&bytes);
-        let claim = ReachClaim {
-            policy_file: controller_file_name(&digest, actor.source.is_some()),
-            policy_sha256: digest,
-            source: actor.source.clone(),
-            step_s: starts.step_s,
-            steps: starts.steps,
-            follower_ttc_s: starts.follower_ttc_s,
-            follower_law: starts.follower_law.map(Box::new),
-            leader_brakes_at_most_mps2: starts.leader_brakes_at_most_mps2,
-            observation_error: spec.observation_error,
-            ranges: starts.ranges,
-            partition: Vec::new(),
-            verified_share_at_least: 0.0,
-            falsified_share_at_least: 0.0,
-            min_gap_m_at_least: 0.0,
-        };
+        let claim = claim_without_partition(sha256(&bytes), &actor, initial, spec);
         claim.problem(&actor).map_err(map_rejection)?;
-        let texts = [file::to_toml(&scenario)?, toml::to_string(spec)?];
-        let follower_drives = spec.follower_drives.clone();
         let plan = Self {
+            texts: [file::to_toml(&scenario)?, toml::to_string(spec)?],
             scenario,
-            follower_drives,
-            texts,
+            follower_drives: spec.follower_drives.clone(),
             controller,
             bytes,
             actor,
@@ -306,47 +410,27 @@ impl ReachPlan {
         observer: &dyn Observer<VolumeShares>,
     ) -> Result<Partition, InvalidBox> {
         let begin = Instant::now();
-        let mut scene = self.claim.problem(&self.actor).map_err(map_rejection)?;
-        scene.stop_when_undecided = true;
-        let mut nodes = vec![PartitionNode::new(self.claim.ranges)];
+        let mut problem = self.claim.problem(&self.actor).map_err(map_rejection)?;
+        problem.stop_when_undecided = true;
+        let mut tree = PartitionTree::new(self.claim.ranges);
         let mut due = vec![0_usize];
-        let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
+        let mut shares = Vec::new();
         for level in 0..=depth {
-            let bound = |&node: &usize| {
-                reach(&ReachProblem {
-                    ranges: nodes[node].ranges,
-                    ..scene.clone()
-                })
-            };
-            let found: Vec<ReachResult> = due.par_iter().map(bound).collect();
-            let volume = 0.5_f64.powi(level as i32);
+            let results: Vec<ReachResult> = due
+                .par_iter()
+                .map(|&node| reach(&with_ranges(&problem, tree.nodes[node].ranges)))
+                .collect();
             let mut next = Vec::new();
-            for (&node, reached) in due.iter().zip(found) {
-                nodes[node].result = Some(reached);
-                if reached.undecided.is_none() {
-                    nodes[node].cell = PartitionCell::Verified;
-                    verified += volume;
-                    gap_m = gap_m.min(reached.gaps_m[0]).min(reached.gaps_m[1]);
-                } else if level < depth
-                    && nodes.len() + 1 < MAX_BOXES
-                    && let Some((dimension, halves)) = choose_cut(&nodes[node].ranges, &reached)
-                {
-                    nodes[node].cell = PartitionCell::Cut(dimension);
-                    nodes[node].first_child = Some(nodes.len());
-                    for ranges in halves {
-                        next.push(nodes.len());
-                        nodes.push(PartitionNode::new(ranges));
-                    }
-                }
+            for (&node, result) in due.iter().zip(results) {
+                next.extend(tree.set_result(node, result, level, level < depth));
             }
-            let (boxes, seconds) = (nodes.len() - next.len(), begin.elapsed().as_secs_f64());
             let now = VolumeShares {
                 depth: level,
-                verified,
+                verified: tree.verified,
                 falsified: 0.0,
-                undecided: 1.0 - verified,
-                boxes,
-                seconds,
+                undecided: 1.0 - tree.verified,
+                boxes: tree.nodes.len() - next.len(),
+                seconds: begin.elapsed().as_secs_f64(),
             };
             observer.notify(&now)?;
             shares.push(now);
@@ -355,47 +439,27 @@ impl ReachPlan {
             }
             due = next;
         }
-        self.falsify(&scene, &mut nodes)?;
-        Ok(self.build_partition(&nodes, shares, gap_m, begin))
+        self.falsify(&problem, &mut tree.nodes)?;
+        Ok(self.build_partition(&tree, shares, begin))
     }
 
+    /// Searches each undecided box for a state that surely ends in a collision.
     fn falsify(
         &self,
-        scene: &ReachProblem<'_>,
+        problem: &ReachProblem<'_>,
         nodes: &mut [PartitionNode],
     ) -> Result<(), InvalidBox> {
         let undecided: Vec<usize> = (0..nodes.len())
             .filter(|&node| nodes[node].cell == PartitionCell::Undecided)
             .collect();
-        let search = |&node: &usize| -> Result<Option<[f64; 8]>, InvalidBox> {
-            let mut stream = random::stream(0, Purpose::ScenarioSampling, node as u64);
-            let ranges = &nodes[node].ranges;
-            for start in 0..=SAMPLES_PER_BOX {
-                let mut place: [f64; 8] =
-                    std::array::from_fn(|_| if start == 0 { 0.5 } else { stream.random() });
-                if scene.leader_brakes_at_most_mps2.is_some() {
-                    place[BoxDimension::LeaderBrakeMps2 as usize] = 1.0;
-                }
-                let cell = ReachProblem {
-                    ranges: *ranges,
-                    ..scene.clone()
-                };
-                let point = interpolate(&cell.scripted_ranges(), &place);
-                if self.has_contact(&point)?
-                    && cell
-                        .at_point(&point)
-                        .is_some_and(|scene| reach(&scene).surely_collides)
-                {
-                    return Ok(Some(point));
-                }
-            }
-            Ok(None)
-        };
-        let found = undecided
+        let points = undecided
             .par_iter()
-            .map(search)
+            .map(|&node| {
+                let cell = with_ranges(problem, nodes[node].ranges);
+                self.find_collision(&cell, node as u64)
+            })
             .collect::<Result<Vec<_>, _>>()?;
-        for (node, point) in undecided.into_iter().zip(found) {
+        for (node, point) in undecided.into_iter().zip(points) {
             if let Some(point) = point {
                 nodes[node].cell = PartitionCell::Falsified(point);
             }
@@ -403,67 +467,68 @@ impl ReachPlan {
         Ok(())
     }
 
-    fn build_partition(
+    /// Searches the middle of a box and random states for one that surely ends in a collision.
+    fn find_collision(
         &self,
-        nodes: &[PartitionNode],
-        mut shares: Vec<VolumeShares>,
-        gap_m: f64,
-        begin: Instant,
-    ) -> Partition {
-        let (mut warnings, mut partition) = (UndecidedCounts::default(), Vec::new());
-        // Lower halves first, as in the certificate.
-        let mut pending = vec![0_usize];
-        while let Some(number) = pending.pop() {
-            let node = &nodes[number];
-            partition.push(node.cell);
-            match node.cell {
-                PartitionCell::Cut(_) => pending.extend(
-                    node.first_child
-                        .iter()
-                        .flat_map(|&lower| [lower + 1, lower]),
-                ),
-                PartitionCell::Verified | PartitionCell::Falsified(_) => {}
-                PartitionCell::Undecided => match node.result.and_then(|reached| reached.undecided)
-                {
-                    Some(Undecided::MayCollide { pair: 0, .. }) => warnings.ahead += 1,
-                    Some(Undecided::MayCollide { .. }) => warnings.behind += 1,
-                    _ => warnings.too_wide += 1,
-                },
+        cell: &ReachProblem<'_>,
+        stream_number: u64,
+    ) -> Result<Option<[f64; 8]>, InvalidBox> {
+        let mut stream = random::stream(0, Purpose::ScenarioSampling, stream_number);
+        for sample in 0..=SAMPLES_PER_BOX {
+            let mut shares: [f64; 8] =
+                std::array::from_fn(|_| if sample == 0 { 0.5 } else { stream.random() });
+            if cell.leader_brakes_at_most_mps2.is_some() {
+                shares[BoxDimension::LeaderBrakeMps2 as usize] = 1.0;
+            }
+            let point = interpolate(&cell.scripted_ranges(), &shares);
+            if self.has_contact(&point)?
+                && cell
+                    .at_point(&point)
+                    .is_some_and(|problem| reach(&problem).surely_collides)
+            {
+                return Ok(Some(point));
             }
         }
+        Ok(None)
+    }
+
+    fn build_partition(
+        &self,
+        tree: &PartitionTree,
+        mut shares: Vec<VolumeShares>,
+        begin: Instant,
+    ) -> Partition {
         let mut claim = ReachClaim {
-            partition,
-            // Rounded down to micrometres, so that other rounding in another version keeps the proof.
-            min_gap_m_at_least: if gap_m.is_finite() {
-                (gap_m * 1e6).floor() / 1e6
-            } else {
-                0.0
-            },
+            partition: tree.cells(),
+            min_gap_m_at_least: tree.min_gap_m_at_least(),
             ..self.claim.clone()
         };
         // Shares as the checker computes them, rounded down for unequal halves.
         let [verified, falsified] = claim.volume_shares().unwrap_or_default();
-        (
-            claim.verified_share_at_least,
-            claim.falsified_share_at_least,
-        ) = (verified, falsified);
+        claim.verified_share_at_least = verified;
+        claim.falsified_share_at_least = falsified;
         if let Some(last) = shares.last_mut() {
-            (last.verified, last.falsified, last.undecided) =
-                (verified, falsified, 1.0 - verified - falsified);
+            last.verified = verified;
+            last.falsified = falsified;
+            last.undecided = 1.0 - verified - falsified;
             last.seconds = begin.elapsed().as_secs_f64();
         }
-        let ([scenario, starts], name) = (self.texts.clone(), self.scenario.spec().name.clone());
-        let certificate =
-            build_certificate(name, Some(scenario), Some(starts), Statement::Reach(claim));
+        let [scenario, spec] = self.texts.clone();
+        let name = self.scenario.spec().name.clone();
         Partition {
-            certificate,
+            certificate: build_certificate(
+                name,
+                Some(scenario),
+                Some(spec),
+                Statement::Reach(claim),
+            ),
             shares,
-            undecided: warnings,
+            undecided: tree.undecided_counts(),
         }
     }
 
-    fn has_contact_at(&self, place: &[f64; 8]) -> Result<bool, InvalidBox> {
-        self.has_contact(&interpolate(&self.claim.ranges, place))
+    fn has_contact_at(&self, shares: &[f64; 8]) -> Result<bool, InvalidBox> {
+        self.has_contact(&interpolate(&self.claim.ranges, shares))
     }
 
     /// Returns an initial state of the box as a scenario; the order is that of the ranges.
@@ -561,22 +626,24 @@ fn map_invalid_start(invalid: InvalidField) -> InvalidBox {
 
 /// Returns the error of a command beyond the limits of the vehicle; for a network it names the field.
 fn excessive_command_error(
-    asked_mps2: [f64; 2],
-    able_mps2: [f64; 2],
+    command_mps2: [f64; 2],
+    limits_mps2: [f64; 2],
     controller: &Arc<dyn ControllerSource>,
 ) -> InvalidBox {
-    let (field, bound_mps2) = match asked_mps2[0] < able_mps2[0] {
-        true => ("output.low_mps2", asked_mps2[0]),
-        false => ("output.high_mps2", asked_mps2[1]),
-    };
-    let [least_mps2, most_mps2] = able_mps2;
+    let [low_mps2, high_mps2] = command_mps2;
+    let [min_mps2, max_mps2] = limits_mps2;
+    let is_too_low = low_mps2 < min_mps2;
+    let bound_mps2 = if is_too_low { low_mps2 } else { high_mps2 };
     let problem = format!(
-        "commands up to {bound_mps2} m/s², and the limits of the vehicle are {least_mps2} to {most_mps2} m/s²"
+        "commands up to {bound_mps2} m/s², and the limits of the vehicle are {min_mps2} to {max_mps2} m/s²"
     );
     if controller.downcast_ref::<NetworkController>().is_none() {
         return InvalidBox::Controller(problem);
     }
-    let field = field.to_owned();
+    let field = match is_too_low {
+        true => "output.low_mps2".to_owned(),
+        false => "output.high_mps2".to_owned(),
+    };
     InvalidMapping { field, problem }.into()
 }
 
@@ -615,10 +682,11 @@ fn choose_cut(
         .find_map(|(_, dimension)| Some((dimension, ranges.bisect(dimension)?)))
 }
 
-fn interpolate(ranges: &InitialRanges, place: &[f64; 8]) -> [f64; 8] {
+/// Returns the state at these shares of the ranges.
+fn interpolate(ranges: &InitialRanges, shares: &[f64; 8]) -> [f64; 8] {
     std::array::from_fn(|i| {
         let range = ranges.get(BoxDimension::ALL[i]);
-        (range.low() + place[i] * (range.high() - range.low())).clamp(range.low(), range.high())
+        (range.low() + shares[i] * (range.high() - range.low())).clamp(range.low(), range.high())
     })
 }
 

@@ -119,12 +119,12 @@ impl CountRecord {
 
     #[must_use]
     pub(crate) fn run_range(&self, blocks: Range<u64>) -> Range<u64> {
-        let at = |block: u64| {
+        let [first, end] = [blocks.start, blocks.end].map(|block| {
             block
                 .saturating_mul(self.block_runs())
                 .min(self.registration.runs)
-        };
-        at(blocks.start)..at(blocks.end)
+        });
+        first..end
     }
 
     /// Returns a tally without runs.
@@ -139,42 +139,44 @@ impl CountRecord {
     /// True if a tally is of the first blocks, adds up, and has no more runs than there are.
     #[must_use]
     pub(super) fn is_consistent(&self, tally: &CountTally) -> bool {
-        let counted = tally.blocks.len() as u64;
-        let runs_of = |block: u64| range_len(&self.run_range(block..block.saturating_add(1)));
-        let may_be = |(block, counted): (u64, &CountedBlock)| {
-            let CountedBlock {
-                failures,
-                only_first_failed: first,
-                only_second_failed: second,
-                sha256,
-                ..
-            } = counted;
-            let is_hash = sha256.len() == 64
-                && sha256
-                    .bytes()
-                    .all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte));
-            let sum = failures.saturating_add(*first).saturating_add(*second);
-            let silent =
-                |of: &Option<FailedControllerRuns>| of.as_ref().map_or(0, |silent| silent.runs);
-            let own = failures.saturating_add(*first);
-            let is_known = silent(&counted.missing_answers) <= own
-                && sum.saturating_add(silent(&counted.second_missing_answers))
-                    <= runs_of(block).saturating_add(*failures)
-                && (self.is_comparison() || counted.second_missing_answers.is_none());
-            is_hash
-                && is_known
-                && sum <= runs_of(block)
-                && (self.is_comparison() || first.saturating_add(*second) == 0)
-        };
-        let sum =
-            |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
-        counted <= self.block_count()
+        let count = tally.blocks.len() as u64;
+        count <= self.block_count()
             && tally.registration_sha256 == self.registration.digest()
-            && tally.runs == range_len(&self.run_range(0..counted))
-            && (0..).zip(&tally.blocks).all(may_be)
-            && sum(|block| block.failures) == tally.failures
-            && sum(|block| block.only_first_failed) == tally.only_first_failed
-            && sum(|block| block.only_second_failed) == tally.only_second_failed
+            && tally.runs == range_len(&self.run_range(0..count))
+            && (0..)
+                .zip(&tally.blocks)
+                .all(|(index, block)| self.is_possible_block(index, block))
+            && sum_of_blocks(tally, |block| block.failures) == tally.failures
+            && sum_of_blocks(tally, |block| block.only_first_failed) == tally.only_first_failed
+            && sum_of_blocks(tally, |block| block.only_second_failed) == tally.only_second_failed
+    }
+
+    /// True if the counts of a block are within its runs, and it has a hash.
+    fn is_possible_block(&self, index: u64, block: &CountedBlock) -> bool {
+        let CountedBlock {
+            failures,
+            only_first_failed,
+            only_second_failed,
+            sha256,
+            ..
+        } = block;
+        let is_hash = sha256.len() == 64
+            && sha256
+                .bytes()
+                .all(|byte| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte));
+        let runs = range_len(&self.run_range(index..index.saturating_add(1)));
+        let first_failed = failures.saturating_add(*only_first_failed);
+        let any_failed = first_failed.saturating_add(*only_second_failed);
+        let [first_missing, second_missing] =
+            [&block.missing_answers, &block.second_missing_answers]
+                .map(|missing| missing.as_ref().map_or(0, |missing| missing.runs));
+        let is_for_one_controller = block.second_missing_answers.is_none()
+            && only_first_failed.saturating_add(*only_second_failed) == 0;
+        is_hash
+            && first_missing <= first_failed
+            && any_failed.saturating_add(second_missing) <= runs.saturating_add(*failures)
+            && any_failed <= runs
+            && (self.is_comparison() || is_for_one_controller)
     }
 
     /// Builds the certificate of a complete tally. For one controller it states the lowest accepted rate, to nine
@@ -183,36 +185,28 @@ impl CountRecord {
     pub fn certificate(&self, tally: &CountTally) -> Certificate {
         let registration = self.registration.clone();
         let registration_sha256 = registration.digest();
+        let blocks = tally.blocks.iter();
         let statement = if self.is_comparison() {
+            let blocks = blocks.map(|block| {
+                let failed = [block.only_first_failed, block.only_second_failed];
+                (failed, block.sha256.clone())
+            });
             Statement::Comparison(ComparisonClaim {
                 registration,
                 registration_sha256,
                 only_first_failed: tally.only_first_failed,
                 only_second_failed: tally.only_second_failed,
-                blocks: tally
-                    .blocks
-                    .iter()
-                    .map(|block| {
-                        (
-                            [block.only_first_failed, block.only_second_failed],
-                            block.sha256.clone(),
-                        )
-                    })
-                    .collect(),
+                blocks: blocks.collect(),
             })
         } else {
-            let rate_at_most = self.rate_at_most(tally.failures);
-            let blocks = tally
-                .blocks
-                .iter()
-                .map(|block| (block.failures, block.sha256.clone()))
-                .collect();
             Statement::Rate(RateClaim {
                 registration,
                 registration_sha256,
                 failures: tally.failures,
-                rate_at_most,
-                blocks,
+                rate_at_most: self.rate_at_most(tally.failures),
+                blocks: blocks
+                    .map(|block| (block.failures, block.sha256.clone()))
+                    .collect(),
             })
         };
         let space = self
@@ -233,6 +227,10 @@ impl CountRecord {
             self.registration.confidence,
         )
     }
+}
+
+fn sum_of_blocks(tally: &CountTally, count: fn(&CountedBlock) -> u64) -> u64 {
+    tally.blocks.iter().map(count).fold(0, u64::saturating_add)
 }
 
 pub(super) fn range_len(range: &Range<u64>) -> u64 {

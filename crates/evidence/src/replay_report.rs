@@ -69,14 +69,15 @@ impl ReplayReport {
     /// Creates the report of drives with a controller, whose braking counts from `min_brake_mps2`.
     #[must_use]
     pub fn new(controller: &str, min_brake_mps2: f64, drives: &[DriveOfRecording]) -> Self {
-        let all = || drives.iter().map(|one| &one.drive);
-        let hours = all().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
-        let kilometres = all().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
-        let unnecessary = |who: usize| {
-            let count = all().map(|drive| drive.unnecessary[who].count as u64).sum();
-            let seconds = all().map(|drive| drive.unnecessary[who].time_s).sum();
+        let replayed = drives.iter().map(|recorded| &recorded.drive);
+        let hours = replayed.clone().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
+        let kilometres = replayed.clone().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
+        let [unnecessary, unnecessary_of_drivers] = [0, 1].map(|subject: usize| {
+            let brakings = replayed.clone().map(|drive| &drive.unnecessary[subject]);
+            let count = brakings.clone().map(|braking| braking.count as u64).sum();
+            let seconds = brakings.map(|braking| braking.time_s).sum();
             UnnecessaryReport::new(count, seconds, hours, kilometres)
-        };
+        });
         Self {
             controller: controller.to_owned(),
             min_brake_mps2,
@@ -84,8 +85,8 @@ impl ReplayReport {
             hours,
             kilometres,
             brakings: drives.iter().flat_map(BrakingReport::list).collect(),
-            unnecessary: unnecessary(0),
-            unnecessary_of_drivers: unnecessary(1),
+            unnecessary,
+            unnecessary_of_drivers,
         }
     }
 
@@ -158,7 +159,7 @@ impl BrakingReport {
             Some(event) => format!(", event {event}"),
             None => String::new(),
         };
-        let place = format!("{}{event} of {}", self.vehicle, self.recording);
+        let origin = format!("{}{event} of {}", self.vehicle, self.recording);
         format!(
             "  {:>6.2} {:>6.2} {:>6.2} {:>6.2} {:>7.2} {:>7.2}  {}\n",
             self.brake_mps2,
@@ -167,7 +168,7 @@ impl BrakingReport {
             self.speed_mps,
             self.gap_m,
             self.from_s,
-            TerminalText(&place)
+            TerminalText(&origin)
         )
     }
 }

@@ -4,10 +4,10 @@
 //! probability at most C(m - a, s)/C(m, s).
 
 use crumple_controllers::Controllers;
-use crumple_verify::{Certificate, ClaimSubject};
+use crumple_verify::{Certificate, ClaimSubject, Registration};
 use rayon::prelude::*;
 
-use super::binding::{self, BindingError};
+use super::binding::{self, BindingError, configuration_value};
 use super::{CountedBlock, RateError, RatePlan};
 use crumple_core::digest::Sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
@@ -146,50 +146,28 @@ impl Rerun {
         opener: Controllers,
     ) -> Result<Self, RerunError> {
         let statement = &certificate.statement;
-        let (ClaimSubject::Runs(registration), Some(stated)) =
-            (statement.subject(), statement.counted_blocks())
-        else {
+        let ClaimSubject::Runs(registration) = statement.subject() else {
+            return Err(RerunError::NothingCounted(statement.name()));
+        };
+        let Some(stated) = statement.counted_blocks() else {
             return Err(RerunError::NothingCounted(statement.name()));
         };
         if certificate.is_first_version() {
             return Err(RerunError::NoBlocks);
         }
-        let of = |key: &str| {
-            registration
-                .configuration
-                .get(key)
-                .map_or("", String::as_str)
-        };
-        if of("crumple") != env!("CARGO_PKG_VERSION") {
+        let release = configuration_value(registration, "crumple");
+        if release != env!("CARGO_PKG_VERSION") {
             return Err(RerunError::OtherRelease {
-                counting_release: of("crumple").escape_debug().to_string(),
+                counting_release: release.escape_debug().to_string(),
             });
         }
-        let find = |place: &'static str| {
-            let identity = of(match place {
-                "controller" => "controller_sha256",
-                _ => "against_sha256",
-            });
-            let is_it = |one: &&NamedController| one.source.identity().as_deref() == Some(identity);
-            // Keep the name under which the controller was counted.
-            given.iter().find(is_it).map(|one| NamedController {
-                name: of(place).to_owned(),
-                source: one.source.clone(),
-            })
-        };
         let controllers = match binding::built_in_controllers(registration) {
             Some(controllers) => controllers,
             None => {
-                let first = find("controller").ok_or(RerunError::NoController {
-                    place: "controller",
-                })?;
-                let second = match registration.configuration.get("against") {
-                    None => None,
-                    Some(_) => {
-                        Some(find("against").ok_or(RerunError::NoController { place: "against" })?)
-                    }
-                };
-                (first, second)
+                let first = find_given(given, registration, "controller")?;
+                let is_comparison = registration.configuration.contains_key("against");
+                let second = is_comparison.then(|| find_given(given, registration, "against"));
+                (first, second.transpose()?)
             }
         };
         let plan = binding::rebuild_plan(certificate, registration, controllers, opener)?;
@@ -229,14 +207,14 @@ impl Rerun {
     ) -> Result<Confirmation, RerunError> {
         let counter = ProgressCounter::new(observer, Some(self.run_count(sample)));
         let blocks = self.select_blocks(sample);
-        let judged = blocks.par_iter().map(|&block| {
+        let comparisons = blocks.par_iter().map(|&block| {
             counter.add(0)?;
-            let found = self.plan.recount_block(block)?;
+            let recounted = self.plan.recount_block(block)?;
             counter.add(self.block_run_count(block))?;
-            self.compare_block(block, &found)
+            self.compare_block(block, &recounted)
         });
         // Report the first error in order of blocks, independent of threads.
-        judged
+        comparisons
             .collect::<Vec<_>>()
             .into_iter()
             .collect::<Result<(), RerunError>>()?;
@@ -258,16 +236,17 @@ impl Rerun {
         let BlockSelection::Sample { percent, seed } = sample else {
             return all.collect();
         };
-        let most = self.plan.block_count();
-        let wanted = ((percent / 100.0 * most as f64).ceil() as u64).clamp(1, most) as usize;
-        let lot = |block: u64| {
-            Sha256::default()
+        let count = self.plan.block_count();
+        let wanted = ((percent / 100.0 * count as f64).ceil() as u64).clamp(1, count) as usize;
+        let hashed = all.map(|block| {
+            let hash = Sha256::default()
                 .with(seed.to_le_bytes())
                 .with(&self.digest)
                 .with(block.to_le_bytes())
-                .finish()
-        };
-        let mut order: Vec<([u8; 32], u64)> = all.map(|block| (lot(block), block)).collect();
+                .finish();
+            (hash, block)
+        });
+        let mut order: Vec<([u8; 32], u64)> = hashed.collect();
         order.sort_unstable();
         let mut blocks: Vec<u64> = order
             .into_iter()
@@ -278,39 +257,61 @@ impl Rerun {
         blocks
     }
 
-    fn compare_block(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
+    fn compare_block(&self, block: u64, recounted: &CountedBlock) -> Result<(), RerunError> {
         let is_rate = self.plan.has_single_controller();
         let counts = if is_rate {
-            [found.failures, 0]
+            [recounted.failures, 0]
         } else {
-            [found.only_first_failed, found.only_second_failed]
+            [recounted.only_first_failed, recounted.only_second_failed]
         };
         let Some((stated, sha256)) = self.stated_blocks.get(block as usize) else {
             return Err(RerunError::OtherRegistration);
         };
-        let runs = self.plan.run_range(block);
-        let refuted = |problem: String| {
-            Err(RerunError::Refuted {
-                block,
-                first: runs.start,
-                last: runs.end.saturating_sub(1),
-                problem,
-            })
-        };
-        match (*stated, counts) {
-            (stated, found) if stated != found && is_rate => refuted(format!(
+        let problem = if *stated != counts && is_rate {
+            format!(
                 "{} runs failed when repeated, and the certificate states {}",
-                found[0], stated[0]
-            )),
-            (stated, found) if stated != found => refuted(format!(
+                counts[0], stated[0]
+            )
+        } else if *stated != counts {
+            format!(
                 "when repeated, only the first controller failed in {} runs and only the second in {}, and the \
                  certificate states {} and {}",
-                found[0], found[1], stated[0], stated[1]
-            )),
-            _ if *sha256 != found.sha256 => refuted(
-                "when repeated, the runs have other results than the certificate states".to_owned(),
-            ),
-            _ => Ok(()),
-        }
+                counts[0], counts[1], stated[0], stated[1]
+            )
+        } else if *sha256 != recounted.sha256 {
+            "when repeated, the runs have other results than the certificate states".to_owned()
+        } else {
+            return Ok(());
+        };
+        let runs = self.plan.run_range(block);
+        Err(RerunError::Refuted {
+            block,
+            first: runs.start,
+            last: runs.end.saturating_sub(1),
+            problem,
+        })
     }
+}
+
+/// Returns the given controller with the identity that is registered for a role, under its registered name.
+fn find_given(
+    given: &[NamedController],
+    registration: &Registration,
+    role: &'static str,
+) -> Result<NamedController, RerunError> {
+    let identity = configuration_value(
+        registration,
+        match role {
+            "controller" => "controller_sha256",
+            _ => "against_sha256",
+        },
+    );
+    let controller = given
+        .iter()
+        .find(|controller| controller.source.identity().as_deref() == Some(identity))
+        .ok_or(RerunError::NoController { place: role })?;
+    Ok(NamedController {
+        name: configuration_value(registration, role).to_owned(),
+        source: controller.source.clone(),
+    })
 }

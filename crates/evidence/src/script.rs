@@ -57,13 +57,7 @@ pub(super) fn check_script_limits(
     };
     let [lowest, highest] = match profile {
         LeadProfile::Recorded(recorded) => {
-            let (speed_mps, recorded_mps) = (leader.speed_mps, recorded.speed_at_mps(0.0));
-            if speed_mps != recorded_mps {
-                return Err(ScriptBeyondLimit::OtherSpeed {
-                    speed_mps,
-                    recorded_mps,
-                });
-            }
+            check_recorded_speed(leader.speed_mps, recorded)?;
             slopes_mps2(recorded, horizon_s)
         }
         LeadProfile::Pieces(pieces) => {
@@ -96,6 +90,20 @@ pub(super) fn check_script_limits(
     }
 }
 
+fn check_recorded_speed(
+    speed_mps: f64,
+    recorded: &RecordedSpeeds,
+) -> Result<(), ScriptBeyondLimit> {
+    let recorded_mps = recorded.speed_at_mps(0.0);
+    if speed_mps == recorded_mps {
+        return Ok(());
+    }
+    Err(ScriptBeyondLimit::OtherSpeed {
+        speed_mps,
+        recorded_mps,
+    })
+}
+
 /// Returns the smallest and largest slope of recorded speeds, including 0, rounded outward, in m/s².
 fn slopes_mps2(recorded: &RecordedSpeeds, horizon_s: f64) -> [f64; 2] {
     let samples: Vec<[f64; 2]> = recorded
@@ -109,11 +117,11 @@ fn slopes_mps2(recorded: &RecordedSpeeds, horizon_s: f64) -> [f64; 2] {
         .zip(samples.iter().skip(1))
         .take_while(|([from_s, _], _)| *from_s <= horizon_s);
     hull(pairs.map(|(from, to)| {
-        let [duration_s, change_mps] = [0, 1].map(|place| difference(to[place], from[place]));
+        let [duration_s, change_mps] = [0, 1].map(|column| difference(to[column], from[column]));
         let slope_mps2 = change_mps.low() / duration_s.low();
         let is_exact = [duration_s, change_mps]
             .iter()
-            .all(|one| one.low() == one.high())
+            .all(|range| range.low() == range.high())
             && slope_mps2.mul_add(duration_s.low(), -change_mps.low()) == 0.0;
         let slope = if is_exact {
             Interval::point(slope_mps2)
@@ -125,14 +133,14 @@ fn slopes_mps2(recorded: &RecordedSpeeds, horizon_s: f64) -> [f64; 2] {
 }
 
 /// Returns a difference, rounded outward unless it is exact by Knuth's error of the sum of two numbers.
-fn difference(of: f64, from: f64) -> Interval {
-    let nearest = of - from;
-    let virtually = nearest - of;
-    let error = (of - (nearest - virtually)) + (-from - virtually);
+fn difference(to: f64, from: f64) -> Interval {
+    let nearest = to - from;
+    let virtually = nearest - to;
+    let error = (to - (nearest - virtually)) + (-from - virtually);
     if error == 0.0 {
         Interval::point(nearest)
     } else {
-        Interval::point(of) - Interval::point(from)
+        Interval::point(to) - Interval::point(from)
     }
 }
 
@@ -216,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn scripts_within_a_limit_are_those_of_a_leader_that_brakes_as_it_likes() {
+    fn scripts_within_a_limit_brake_at_most_as_hard_in_each_step() {
         for profile in allowed_profiles() {
             assert_eq!(check_profile(profile.clone()), Ok(()), "{profile:?}");
             let mut speed_mps = SPEED_MPS;

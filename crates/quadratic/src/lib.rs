@@ -92,13 +92,13 @@ impl QuadraticProgram {
             [&self.equalities.column[..], &self.inequalities.column].concat(),
             [&self.equalities.value[..], &self.inequalities.value].concat(),
         );
-        let (mut i, mut j, mut v) = (Vec::new(), Vec::new(), Vec::new());
-        for &(row, column, value) in &self.hessian {
-            i.push(row);
-            j.push(column);
-            v.push(value);
-        }
-        let curvature = CscMatrix::new_from_triplets(n, n, i, j, v);
+        let hessian = CscMatrix::new_from_triplets(
+            n,
+            n,
+            self.hessian.iter().map(|entry| entry.0).collect(),
+            self.hessian.iter().map(|entry| entry.1).collect(),
+            self.hessian.iter().map(|entry| entry.2).collect(),
+        );
         let bound = [&self.equalities.bound[..], &self.inequalities.bound].concat();
         let cones = [ZeroConeT(equalities), NonnegativeConeT(rows - equalities)];
         let settings = DefaultSettingsBuilder::default()
@@ -110,28 +110,21 @@ impl QuadraticProgram {
             return QuadraticSolution::SolverFailed("settings".to_owned());
         };
         let mut solver =
-            match DefaultSolver::new(&curvature, &self.cost, &matrix, &bound, &cones, settings) {
+            match DefaultSolver::new(&hessian, &self.cost, &matrix, &bound, &cones, settings) {
                 Ok(solver) => solver,
                 Err(error) => return QuadraticSolution::SolverFailed(error.to_string()),
             };
         solver.solve();
         let solution = &solver.solution;
-        let multipliers = || {
-            solution
-                .z
-                .iter()
-                .skip(equalities)
-                .map(|z| z.max(0.0))
-                .collect()
-        };
+        let multipliers = solution.z.iter().skip(equalities).map(|z| z.max(0.0));
         match solution.status {
             // The caller checks solutions that are almost solved.
             SolverStatus::Solved | SolverStatus::AlmostSolved => QuadraticSolution::Optimal {
                 point: solution.x.clone(),
-                multipliers: multipliers(),
+                multipliers: multipliers.collect(),
             },
             SolverStatus::PrimalInfeasible | SolverStatus::AlmostPrimalInfeasible => {
-                QuadraticSolution::Infeasible(multipliers())
+                QuadraticSolution::Infeasible(multipliers.collect())
             }
             status => QuadraticSolution::SolverFailed(format!("{status:?}")),
         }

@@ -121,17 +121,17 @@ pub fn built_in_space_summary(space: &ScenarioSpace) -> Option<&'static str> {
     let (name, summary, _) = BUILT_IN_SPACES
         .iter()
         .chain(&HUMAN_SPACES)
-        .find(|(known, ..)| *known == space.name())?;
+        .find(|(name, ..)| *name == space.name())?;
     (built_in_space(name)?.spec() == space.spec()).then_some(*summary)
 }
 
 /// Returns the built-in space `name`.
 #[must_use]
 pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
-    if let Some((_, _, text)) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name) {
+    if let Some((_, _, text)) = BUILT_IN_SPACES.iter().find(|space| space.0 == name) {
         return file::from_toml(text, Path::new(name), &NoDriverFiles).ok();
     }
-    let (_, summary, base) = HUMAN_SPACES.iter().find(|(known, ..)| *known == name)?;
+    let (_, summary, base) = HUMAN_SPACES.iter().find(|space| space.0 == name)?;
     let mut spec = built_in_space(base)?.spec().clone();
     (spec.name, spec.about) = (name.to_owned(), (*summary).to_owned());
     spec.parameters

@@ -8,7 +8,7 @@ use super::copula::Copula;
 use super::field::{FieldTarget, VehicleField};
 use super::invalid::{InvalidSpace, SpaceProblem, reject};
 use super::region::LikelihoodRegion;
-use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec};
+use super::spec::{Base, ParameterValue, SPACE_VERSION, SpaceSpec};
 use super::{ScenarioSpace, SpaceParameter};
 use crumple_core::digits::format_compact;
 use crumple_core::format_version::check_version;
@@ -52,14 +52,14 @@ impl ScenarioSpace {
         check_header(&spec)?;
         let base = load_base(&spec.base, folder, opener)?;
         spec.base = Base::Inline(Box::new(base.spec().clone()));
-        let found = spec.parameters.len();
-        if !(1..=MAX_PARAMETERS).contains(&found) {
-            let problem = format!("must be 1 to {MAX_PARAMETERS}, found {found}");
+        let count = spec.parameters.len();
+        if !(1..=MAX_PARAMETERS).contains(&count) {
+            let problem = format!("must be 1 to {MAX_PARAMETERS}, found {count}");
             return reject("parameters", problem);
         }
         let mut space = Self::without_parameters(spec, &base);
         let mut written = Vec::new();
-        for index in 0..found {
+        for index in 0..count {
             space.add_parameter(index, &mut written)?;
         }
         space.check_coordinates()?;
@@ -84,8 +84,8 @@ impl ScenarioSpace {
 
     /// Creates a space whose parameters are not checked yet.
     fn without_parameters(spec: SpaceSpec, base: &Scenario) -> Self {
-        let is_place = |parameter: &ParameterSpec| parameter.field.ends_with(".position_m");
-        let uses_gaps = !spec.parameters.iter().any(is_place);
+        let mut fields = spec.parameters.iter().map(|parameter| &parameter.field);
+        let uses_gaps = !fields.any(|field| field.ends_with(".position_m"));
         let mut template = base.spec().clone();
         if uses_gaps {
             for (index, vehicle) in template.vehicles.iter_mut().enumerate() {
@@ -105,9 +105,9 @@ impl ScenarioSpace {
 
     /// Checks the number and the names of the coordinates.
     fn check_coordinates(&self) -> Result<(), InvalidSpace> {
-        let found = self.dimension();
-        if found > MAX_COORDINATES {
-            let problem = format!("must have at most {MAX_COORDINATES} coordinates, found {found}");
+        let count = self.dimension();
+        if count > MAX_COORDINATES {
+            let problem = format!("must have at most {MAX_COORDINATES} coordinates, found {count}");
             return reject("parameters", problem);
         }
         let names = self.coordinate_names();
@@ -150,18 +150,15 @@ impl ScenarioSpace {
     /// since the worst case of each is an end of its range.
     fn check_corners(&self) -> Result<(), InvalidSpace> {
         for vehicle in 0..self.template.vehicles.len() {
-            let near = |parameter: &&SpaceParameter| {
-                let collided = parameter.target.affected_vehicle();
-                let of_all = matches!(parameter.target, FieldTarget::AllVehicles(_));
-                of_all
-                    || collided
-                        .is_some_and(|collided| collided == vehicle || collided + 1 == vehicle)
-            };
-            let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();
+            let parameters: Vec<&SpaceParameter> = self
+                .parameters
+                .iter()
+                .filter(|parameter| parameter.target.affects_gap_ahead(vehicle))
+                .collect();
             if parameters.len() > MAX_CORNER_PARAMETERS {
-                let found = parameters.len();
+                let count = parameters.len();
                 let problem = format!(
-                    "at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {found}"
+                    "at most {MAX_CORNER_PARAMETERS} may vary on two successive vehicles, found {count}"
                 );
                 return reject("parameters", problem);
             }
@@ -234,12 +231,10 @@ fn load_base(
 }
 
 fn unknown_base(name: &str) -> String {
-    let known: Vec<_> = built_in_scenario_names()
-        .iter()
-        .map(|(name, _)| *name)
-        .collect();
-    let known = known.join(", ");
-    format!("`{name}` is neither a built-in scenario ({known}) nor a .toml or .json file")
+    let built_in = built_in_scenario_names();
+    let names: Vec<_> = built_in.iter().map(|(name, _)| *name).collect();
+    let names = names.join(", ");
+    format!("`{name}` is neither a built-in scenario ({names}) nor a .toml or .json file")
 }
 
 /// Returns the problem of a base scenario in a file. A program that it names is refused with the line of its name.

@@ -64,11 +64,11 @@ impl Copula {
             .cholesky()
             .filter(|_| least >= MIN_EIGENVALUE)
         else {
-            let found = format_compact(least);
+            let eigenvalue = format_compact(least);
             return reject(
                 CORRELATION,
                 format!(
-                    "must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {found}"
+                    "must be positive definite, with no eigenvalue below {MIN_EIGENVALUE}, found one of {eigenvalue}"
                 ),
             );
         };
@@ -92,11 +92,11 @@ impl Copula {
     pub(super) fn correlate(&self, uniform: &[f64]) -> Vec<f64> {
         let normal = self.normal_scores(uniform);
         let mut depending = uniform.to_vec();
-        for (row, &place) in self.coordinates.iter().enumerate() {
+        for (row, &index) in self.coordinates.iter().enumerate() {
             let sum: f64 = (0..=row)
                 .map(|column| self.cholesky_factor[(row, column)] * normal[column])
                 .sum();
-            if let Some(share) = depending.get_mut(place) {
+            if let Some(share) = depending.get_mut(index) {
                 *share = Gauss::standard().cdf(sum);
             }
         }
@@ -114,9 +114,9 @@ impl Copula {
         let Some(independent) = self.cholesky_factor.solve_lower_triangular(&depending) else {
             return;
         };
-        for (&place, &score) in self.coordinates.iter().zip(independent.iter()) {
-            if let Some(found) = scores.get_mut(place) {
-                *found = score;
+        for (&index, &independent_score) in self.coordinates.iter().zip(independent.iter()) {
+            if let Some(score) = scores.get_mut(index) {
+                *score = independent_score;
             }
         }
     }
@@ -135,53 +135,48 @@ impl Copula {
 
     /// Returns the normal scores of the dependent coordinates; 0 for missing ones.
     fn normal_scores(&self, shares: &[f64]) -> Vec<f64> {
-        let share = |&place: &usize| {
-            shares
-                .get(place)
-                .copied()
-                .unwrap_or(0.5)
-                .clamp(PROBABILITY_RANGE[0], PROBABILITY_RANGE[1])
-        };
-        self.coordinates
-            .iter()
-            .map(|place| Gauss::standard().inverse_cdf(share(place)))
-            .collect()
+        let scores = self.coordinates.iter().map(|&index| {
+            let share = shares.get(index).copied().unwrap_or(0.5);
+            let [lowest, highest] = PROBABILITY_RANGE;
+            Gauss::standard().inverse_cdf(share.clamp(lowest, highest))
+        });
+        scores.collect()
     }
 }
 
 impl GaussianCopula {
     fn coordinates(&self, parameters: &[SpaceParameter]) -> Result<Vec<usize>, InvalidSpace> {
-        let at = |index: usize| format!("dependence.gaussian-copula.parameters[{index}]");
-        let found = self.parameters.len();
-        if !(2..=MAX_CORRELATED).contains(&found) {
+        let count = self.parameters.len();
+        if !(2..=MAX_CORRELATED).contains(&count) {
             let field = "dependence.gaussian-copula.parameters";
             return reject(
                 field,
-                format!("must be 2 to {MAX_CORRELATED}, found {found}"),
+                format!("must be 2 to {MAX_CORRELATED}, found {count}"),
             );
         }
-        let mut coordinates = Vec::with_capacity(found);
+        let mut coordinates = Vec::with_capacity(count);
         for (index, name) in self.parameters.iter().enumerate() {
+            let field = format!("dependence.gaussian-copula.parameters[{index}]");
             let Some(parameter) = parameters.iter().find(|parameter| parameter.name() == name)
             else {
-                return reject(at(index), format!("there is no parameter `{name}`"));
+                return reject(field, format!("there is no parameter `{name}`"));
             };
             if parameter.target.kind() != ValueKind::Number {
                 return reject(
-                    at(index),
+                    field,
                     format!("`{name}` is a class or a driver, and only numbers can be correlated"),
                 );
             }
             if parameter.coordinates().len() != 1 {
                 return reject(
-                    at(index),
+                    field,
                     format!(
                         "`{name}` is a signal, and only parameters with one value can be correlated"
                     ),
                 );
             }
             if coordinates.contains(&parameter.coordinates().start) {
-                return reject(at(index), format!("`{name}` is named twice"));
+                return reject(field, format!("`{name}` is named twice"));
             }
             coordinates.push(parameter.coordinates().start);
         }
@@ -197,46 +192,38 @@ impl GaussianCopula {
             );
         }
         for (row, entries) in self.correlation.iter().enumerate() {
-            let at = format!("{CORRELATION}[{row}]");
+            let field = format!("{CORRELATION}[{row}]");
             if entries.len() != size {
                 return reject(
-                    at,
+                    field,
                     format!("must have {size} entries, found {}", entries.len()),
                 );
             }
-            for (column, &found) in entries.iter().enumerate() {
-                let mirrored = self
-                    .correlation
-                    .get(column)
-                    .and_then(|other| other.get(row))
-                    .copied();
-                if !(-1.0..=1.0).contains(&found) {
-                    return reject(
-                        at,
-                        format!("must be from -1 to 1, found {}", format_compact(found)),
-                    );
-                }
-                if row == column && found != 1.0 {
-                    return reject(
-                        at,
-                        format!(
-                            "must have 1 on the diagonal, found {}",
-                            format_compact(found)
-                        ),
-                    );
-                }
-                if let Some(other) = mirrored.filter(|other| *other != found) {
-                    let problem = format!(
-                        "must be symmetric, found {} and {}",
-                        format_compact(found),
-                        format_compact(other)
-                    );
-                    return reject(at, problem);
+            for (column, &entry) in entries.iter().enumerate() {
+                if let Some(problem) = self.entry_problem(row, column, entry) {
+                    return reject(field, problem);
                 }
             }
         }
         Ok(DMatrix::from_fn(size, size, |row, column| {
             self.correlation[row][column]
         }))
+    }
+
+    fn entry_problem(&self, row: usize, column: usize, entry: f64) -> Option<String> {
+        let entry_text = format_compact(entry);
+        if !(-1.0..=1.0).contains(&entry) {
+            return Some(format!("must be from -1 to 1, found {entry_text}"));
+        }
+        if row == column && entry != 1.0 {
+            return Some(format!("must have 1 on the diagonal, found {entry_text}"));
+        }
+        let mirrored = *self.correlation.get(column)?.get(row)?;
+        (mirrored != entry).then(|| {
+            format!(
+                "must be symmetric, found {entry_text} and {}",
+                format_compact(mirrored)
+            )
+        })
     }
 }

@@ -12,13 +12,11 @@ const MIN_CLOSING_GAP_M: f64 = 2.0;
 
 /// Returns the gap that vehicle `index` closes in `time_s` at its closing speed, in metres; at least 2 m.
 pub(super) fn closing_gap_m(spec: &ScenarioSpec, index: usize, time_s: f64) -> f64 {
-    let speed_mps = |index: usize| {
-        spec.vehicles
-            .get(index)
-            .map_or(0.0, |vehicle| vehicle.speed_mps)
-    };
-    let closing_mps = speed_mps(index) - index.checked_sub(1).map_or(0.0, speed_mps);
-    (time_s * closing_mps).max(MIN_CLOSING_GAP_M)
+    let [own_mps, ahead_mps] = [Some(index), index.checked_sub(1)].map(|index| {
+        let vehicle = index.and_then(|index| spec.vehicles.get(index));
+        vehicle.map_or(0.0, |vehicle| vehicle.speed_mps)
+    });
+    (time_s * (own_mps - ahead_mps)).max(MIN_CLOSING_GAP_M)
 }
 
 /// Sets the mass relative to the class at the class's brake force: above 1, deceleration falls as 1 / load; below 1,
@@ -45,16 +43,14 @@ pub(super) fn apply_cruise(vehicle: &mut VehicleSpec, wanted_mps2: &[f64], until
         .zip(ends_s)
         .zip(wanted_mps2)
     {
-        let held_s = (to_s - from_s).max(0.0);
-        let (down_mps, up_mps) = (
-            lowest_mps.min(speed_mps) - speed_mps,
-            highest_mps.max(speed_mps) - speed_mps,
-        );
-        *accel_mps2 = match wanted_mps2 * held_s {
-            gained_mps if gained_mps < down_mps => down_mps / held_s,
-            gained_mps if gained_mps > up_mps => up_mps / held_s,
+        let duration_s = (to_s - from_s).max(0.0);
+        let down_mps = lowest_mps.min(speed_mps) - speed_mps;
+        let up_mps = highest_mps.max(speed_mps) - speed_mps;
+        *accel_mps2 = match wanted_mps2 * duration_s {
+            gained_mps if gained_mps < down_mps => down_mps / duration_s,
+            gained_mps if gained_mps > up_mps => up_mps / duration_s,
             _ => wanted_mps2,
         };
-        speed_mps += *accel_mps2 * held_s;
+        speed_mps += *accel_mps2 * duration_s;
     }
 }

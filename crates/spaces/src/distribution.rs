@@ -74,8 +74,8 @@ impl DistributionRange {
         if self.low >= 0.0 {
             return Ok(());
         }
-        let found = format_compact(self.low);
-        reject(self.path, format!("low must be from 0, found {found}"))
+        let low = format_compact(self.low);
+        reject(self.path, format!("low must be from 0, found {low}"))
     }
 
     fn uniform(self) -> CoordinateMarginal {
@@ -166,17 +166,17 @@ impl ShapeScaleSpec {
         range.check_non_negative()?;
         let [min, max] = SHAPE_RANGE;
         if !(min..=max).contains(&self.shape) {
-            let found = format_compact(self.shape);
+            let shape = format_compact(self.shape);
             return reject(
                 path,
-                format!("shape must be from {min} to {max}, found {found}"),
+                format!("shape must be from {min} to {max}, found {shape}"),
             );
         }
         if !(1e-9..=1e9).contains(&self.scale) {
-            let found = format_compact(self.scale);
+            let scale = format_compact(self.scale);
             return reject(
                 path,
-                format!("scale must be from 1e-9 to 1e9, found {found}"),
+                format!("scale must be from 1e-9 to 1e9, found {scale}"),
             );
         }
         Ok(range)
@@ -208,8 +208,10 @@ impl HistogramSpec {
 
 /// Returns the probabilities of relative weights.
 fn normalize(weights: &[f64], path: &str) -> Result<Vec<f64>, InvalidSpace> {
-    let is_usable = |weight: f64| weight >= 0.0 && weight.is_finite();
-    if let Some(weight) = weights.iter().find(|weight| !is_usable(**weight)) {
+    if let Some(weight) = weights
+        .iter()
+        .find(|&&weight| !(weight >= 0.0 && weight.is_finite()))
+    {
         return reject(
             path,
             format!("must be finite numbers from 0, found {weight}"),
@@ -231,11 +233,12 @@ impl PointMassSpec {
             at, probability, ..
         } = *self;
         if !(0.0..1.0).contains(&probability) {
-            let found = format_compact(probability);
-            let problem = format!("must be from 0, below 1, found {found}");
+            let probability = format_compact(probability);
+            let problem = format!("must be from 0, below 1, found {probability}");
             return reject(".point-mass.probability", problem);
         }
-        let (low, high) = (others.low(), others.high());
+        let low = others.low();
+        let high = others.high();
         if !at.is_finite() || (at > low && at < high) {
             let [low, high, found] = [low, high, at].map(format_compact);
             let problem = format!(
@@ -269,21 +272,21 @@ impl PointMassSpec {
     }
 }
 
-fn check_positive(path: &str, name: &str, found: f64) -> Result<(), InvalidSpace> {
-    if found > 0.0 {
+fn check_positive(path: &str, name: &str, value: f64) -> Result<(), InvalidSpace> {
+    if value > 0.0 {
         return Ok(());
     }
-    let found = format_compact(found);
-    reject(path, format!("{name} must be above 0, found {found}"))
+    let value = format_compact(value);
+    reject(path, format!("{name} must be above 0, found {value}"))
 }
 
-fn check_finite(path: &str, name: &str, found: f64) -> Result<(), InvalidSpace> {
-    if found.is_finite() {
+fn check_finite(path: &str, name: &str, value: f64) -> Result<(), InvalidSpace> {
+    if value.is_finite() {
         return Ok(());
     }
     reject(
         path,
-        format!("{name} must be a finite number, found {found}"),
+        format!("{name} must be a finite number, found {value}"),
     )
 }
 

@@ -77,49 +77,90 @@ pub(super) struct ParameterField {
 }
 
 impl ParameterField {
+    /// Resolves a path in a base scenario.
+    ///
+    /// # Errors
+    /// The problem with the path, as text.
     pub(super) fn resolve(path: &str, base: &ScenarioSpec) -> Result<Self, String> {
-        let scalar = |target: FieldTarget, unit: &'static str| Self {
-            target,
-            unit,
-            length: 1,
-            written_paths: vec![path.to_owned()],
-        };
-        if let Some((_, unit, access)) = SCENARIO_FIELDS.iter().find(|(known, ..)| *known == path) {
-            return Ok(scalar(FieldTarget::Scenario(*access), unit));
+        if let Some((_, unit, access)) = SCENARIO_FIELDS.iter().find(|(name, ..)| *name == path) {
+            return Ok(Self::scalar(path, FieldTarget::Scenario(*access), unit));
         }
         if let Some(fault) = path.strip_prefix(FAULTS)
             && let Some(field) = FAULT_FIELDS.iter().find(|field| field.path == fault)
         {
-            return Ok(scalar(FieldTarget::Fault(field.value_mut), field.unit));
+            let target = FieldTarget::Fault(field.value_mut);
+            return Ok(Self::scalar(path, target, field.unit));
         }
-        let unknown = || format!("no field `{path}` may vary");
-        let (index, rest) = path
+        let Some((index, name)) = path
             .strip_prefix("vehicles[")
             .and_then(|rest| rest.split_once("]."))
-            .ok_or_else(|| format!("{}; {}", unknown(), known_fields_text()))?;
+        else {
+            return Err(format!("{}; {}", unknown_field(path), known_fields_text()));
+        };
         if index == "*" {
-            let number = VEHICLE_FIELDS
-                .iter()
-                .find(|(known, ..)| *known == rest && *known != "position_m");
-            let (_, unit, access) = number.ok_or_else(unknown)?;
-            return Ok(scalar(FieldTarget::AllVehicles(*access), unit));
+            let mut fields = VEHICLE_FIELDS.iter();
+            return match fields.find(|(field, ..)| *field == name && *field != "position_m") {
+                Some((_, unit, access)) => {
+                    Ok(Self::scalar(path, FieldTarget::AllVehicles(*access), unit))
+                }
+                None => Err(unknown_field(path)),
+            };
         }
-        let index: usize = index.parse().map_err(|_| unknown())?;
+        let index: usize = index.parse().map_err(|_| unknown_field(path))?;
         let count = base.vehicles.len();
         let vehicle = base.vehicles.get(index).ok_or_else(|| {
             format!("there is no vehicles[{index}]: the base scenario has {count} vehicles, counted from 0")
         })?;
-        let of_vehicle = |field: VehicleField, unit: &'static str| {
-            Ok(scalar(FieldTarget::Vehicle(index, field), unit))
+        let path = VehiclePath {
+            path,
+            index,
+            name,
+            vehicle,
         };
-        if let Some((_, unit, access)) = VEHICLE_FIELDS.iter().find(|(known, ..)| *known == rest) {
-            return of_vehicle(VehicleField::Number(*access), unit);
+        path.resolve()
+    }
+
+    /// Creates a field with one coordinate, which sets only its own path.
+    fn scalar(path: &str, target: FieldTarget, unit: &'static str) -> Self {
+        Self {
+            target,
+            unit,
+            length: 1,
+            written_paths: vec![path.to_owned()],
         }
-        let name = vehicle.driver.name();
-        match rest {
+    }
+}
+
+fn unknown_field(path: &str) -> String {
+    format!("no field `{path}` may vary")
+}
+
+/// A path to a field of one vehicle of the base scenario.
+#[derive(Clone, Copy)]
+struct VehiclePath<'a> {
+    path: &'a str,
+    index: usize,
+    /// Name of the field within the vehicle.
+    name: &'a str,
+    vehicle: &'a VehicleSpec,
+}
+
+impl VehiclePath<'_> {
+    fn resolve(self) -> Result<ParameterField, String> {
+        let Self {
+            path,
+            index,
+            name,
+            vehicle,
+        } = self;
+        if let Some((_, unit, access)) = VEHICLE_FIELDS.iter().find(|(field, ..)| *field == name) {
+            return Ok(self.scalar(VehicleField::Number(*access), unit));
+        }
+        match name {
             "driver" if !matches!(vehicle.driver, Driver::Controller(_)) => {
+                let driver = vehicle.driver.name();
                 return Err(format!(
-                    "vehicle {index} of the base scenario is driven by `{name}`, which is not a built-in controller"
+                    "vehicle {index} of the base scenario is driven by `{driver}`, which is not a built-in controller"
                 ));
             }
             "gap_m" | "time_gap_s" | "closing_time_s" if index == 0 => {
@@ -127,53 +168,78 @@ impl ParameterField {
             }
             _ => {}
         }
-        if let Some((when, (_, access))) = LANE_CHANGES
-            .iter()
-            .find_map(|change| Some((rest.strip_prefix(change.0)?, change)))
-        {
-            let stated = access(&mut vehicle.clone()).copied();
-            let stated = stated
-                .filter(|change| change.field() == when)
-                .ok_or_else(|| {
-                    format!("vehicle {index} of the base scenario does not state `{rest}`")
-                })?;
-            let unit = if matches!(stated, LaneChange::Gap(_)) {
-                "m"
-            } else {
-                "s"
-            };
-            return of_vehicle(VehicleField::LaneChange(*access), unit);
+        if let Some(field) = self.resolve_lane_change()? {
+            return Ok(field);
         }
-        let derived = DERIVED_FIELDS.iter().find(|(known, ..)| *known == rest);
-        if let Some(setting) = rest.strip_prefix("driver.") {
-            let (kind, setting) = setting.split_once('.').ok_or_else(unknown)?;
-            if kind != name {
+        if let Some(setting) = name.strip_prefix("driver.")
+            && let Some(field) = self.resolve_setting(setting)?
+        {
+            return Ok(field);
+        }
+        match DERIVED_FIELDS.iter().find(|(field, ..)| *field == name) {
+            Some((_, unit, field, written)) => Ok(ParameterField {
+                target: FieldTarget::Vehicle(index, *field),
+                unit,
+                length: field.numbers_mut(&mut vehicle.clone()).len().max(1),
+                written_paths: written
+                    .iter()
+                    .map(|field| format!("vehicles[{index}].{field}"))
+                    .collect(),
+            }),
+            None if name.starts_with("driver.") => Err(unknown_field(path)),
+            None => Err(format!("{}; {}", unknown_field(path), known_fields_text())),
+        }
+    }
+
+    fn scalar(self, field: VehicleField, unit: &'static str) -> ParameterField {
+        ParameterField::scalar(self.path, FieldTarget::Vehicle(self.index, field), unit)
+    }
+
+    /// Resolves the trigger of a lane change; `None` for other fields.
+    fn resolve_lane_change(self) -> Result<Option<ParameterField>, String> {
+        let Some((trigger, (_, access))) = LANE_CHANGES
+            .iter()
+            .find_map(|change| Some((self.name.strip_prefix(change.0)?, change)))
+        else {
+            return Ok(None);
+        };
+        let stated = access(&mut self.vehicle.clone()).copied();
+        let unit = match stated.filter(|change| change.field() == trigger) {
+            Some(LaneChange::Gap(_)) => "m",
+            Some(_) => "s",
+            None => {
                 return Err(format!(
-                    "vehicle {index} of the base scenario is driven by `{name}`, not by `{kind}`"
+                    "vehicle {} of the base scenario does not state `{}`",
+                    self.index, self.name
                 ));
             }
-            if let Some((_, unit, access)) = DRIVER_FIELDS.iter().find(|(known, ..)| *known == rest)
-            {
-                return of_vehicle(VehicleField::Driver(*access), unit);
-            }
-            if let Driver::Controller(spec) = &vehicle.driver
-                && let Some(place) = spec.fields().iter().position(|known| known.name == setting)
-            {
-                return of_vehicle(VehicleField::Setting(place), spec.fields()[place].unit());
-            }
-        } else if derived.is_none() {
-            return Err(format!("{}; {}", unknown(), known_fields_text()));
+        };
+        Ok(Some(self.scalar(VehicleField::LaneChange(*access), unit)))
+    }
+
+    /// Resolves a number of the driver; `None` if it has no such number of its own.
+    fn resolve_setting(self, setting: &str) -> Result<Option<ParameterField>, String> {
+        let Some((kind, setting)) = setting.split_once('.') else {
+            return Err(unknown_field(self.path));
+        };
+        let driver = self.vehicle.driver.name();
+        if kind != driver {
+            return Err(format!(
+                "vehicle {} of the base scenario is driven by `{driver}`, not by `{kind}`",
+                self.index
+            ));
         }
-        let (_, unit, field, writes) = derived.ok_or_else(unknown)?;
-        Ok(Self {
-            target: FieldTarget::Vehicle(index, *field),
-            unit,
-            length: field.numbers_mut(&mut vehicle.clone()).len().max(1),
-            written_paths: writes
-                .iter()
-                .map(|field| format!("vehicles[{index}].{field}"))
-                .collect(),
-        })
+        let mut fields = DRIVER_FIELDS.iter();
+        if let Some((_, unit, access)) = fields.find(|(field, ..)| *field == self.name) {
+            return Ok(Some(self.scalar(VehicleField::Driver(*access), unit)));
+        }
+        if let Driver::Controller(spec) = &self.vehicle.driver
+            && let Some(index) = spec.fields().iter().position(|field| field.name == setting)
+        {
+            let unit = spec.fields()[index].unit();
+            return Ok(Some(self.scalar(VehicleField::Setting(index), unit)));
+        }
+        Ok(None)
     }
 }
 
@@ -195,125 +261,58 @@ impl FieldTarget {
     #[inline]
     pub(super) fn set(self, spec: &mut ScenarioSpec, values: &[f64]) {
         let Some(&value) = values.first() else { return };
-        let (index, field) = match self {
-            Self::Scenario(access) => {
-                *access(spec) = value;
-                return;
-            }
-            Self::Fault(access) => {
-                *access(&mut spec.sensors.faults) = value;
-                return;
-            }
+        match self {
+            Self::Scenario(access) => *access(spec) = value,
+            Self::Fault(access) => *access(&mut spec.sensors.faults) = value,
             Self::AllVehicles(access) => {
-                return spec
-                    .vehicles
-                    .iter_mut()
-                    .for_each(|vehicle| *access(vehicle) = value);
-            }
-            Self::Vehicle(index, field) => (index, field),
-        };
-        let (friction, until_s) = (spec.environment.friction, spec.duration_s);
-        let gap_m = if matches!(field, VehicleField::ClosingTime) {
-            closing_gap_m(spec, index, value)
-        } else {
-            0.0
-        };
-        let Some(vehicle) = spec.vehicles.get_mut(index) else {
-            return;
-        };
-        match field {
-            VehicleField::Class => {
-                let class = VehicleClass::ALL.get(value as usize).copied();
-                vehicle.class = class.unwrap_or(vehicle.class);
-            }
-            VehicleField::ControllerChoice => {
-                let other = DriverName::from_number(value)
-                    .filter(|name| name.name() != vehicle.driver.name());
-                if let Some(controller) = other.and_then(DriverName::controller) {
-                    vehicle.driver = Driver::Controller(controller);
+                for vehicle in &mut spec.vehicles {
+                    *access(vehicle) = value;
                 }
             }
-            VehicleField::Size => {
-                vehicle.length_m = Some(value);
-                vehicle.class = VehicleClass::from_length(value);
-            }
-            VehicleField::ClosingTime => vehicle.position_m = gap_m,
-            VehicleField::SpeedShare => vehicle.speed_mps *= value,
-            VehicleField::Load => apply_load(vehicle, value),
-            VehicleField::BrakeOffset => {
-                vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value)
-            }
-            VehicleField::PiecesOnset => {
-                if let Some(pieces) = pieces_mut(&mut vehicle.driver) {
-                    let later_s = value - pieces.from_s.first().copied().unwrap_or(0.0);
-                    pieces
-                        .from_s
-                        .iter_mut()
-                        .for_each(|from_s| *from_s += later_s);
+            Self::Vehicle(index, VehicleField::ClosingTime) => {
+                let gap_m = closing_gap_m(spec, index, value);
+                if let Some(vehicle) = spec.vehicles.get_mut(index) {
+                    vehicle.position_m = gap_m;
                 }
             }
-            VehicleField::PiecesCruise => apply_cruise(vehicle, values, until_s),
-            VehicleField::PiecesScale => {
-                accelerations_mut(&mut vehicle.driver)
-                    .unwrap_or_default()
-                    .iter_mut()
-                    .for_each(|piece| *piece *= value);
-            }
-            _ => {
-                let unit = field.size_of_one(vehicle, friction);
-                let numbers = field.numbers_mut(vehicle);
-                numbers
-                    .iter_mut()
-                    .zip(values)
-                    .for_each(|(number, value)| *number = value * unit);
+            Self::Vehicle(index, field) => {
+                let friction = spec.environment.friction;
+                let until_s = spec.duration_s;
+                if let Some(vehicle) = spec.vehicles.get_mut(index) {
+                    field.set(vehicle, values, friction, until_s);
+                }
             }
         }
     }
 
     /// Returns the value of the field in a scenario with gaps in place of positions.
     pub(super) fn get(self, spec: &ScenarioSpec) -> Vec<f64> {
-        let (index, field) = match self {
-            Self::Scenario(access) => return vec![*access(&mut spec.clone())],
-            Self::Fault(access) => return vec![*access(&mut spec.sensors.faults.clone())],
-            Self::AllVehicles(access) => (0, VehicleField::Number(access)),
-            Self::Vehicle(index, field) => (index, field),
-        };
-        let Some(mut vehicle) = spec.vehicles.get(index).cloned() else {
-            return Vec::new();
-        };
-        match field {
-            VehicleField::Class => vec![f64::from(vehicle.class.number())],
-            VehicleField::ControllerChoice => DriverName::find(vehicle.driver.name())
-                .map(DriverName::number)
-                .into_iter()
-                .collect(),
-            VehicleField::Size => vec![vehicle.length_m()],
-            VehicleField::ClosingTime => {
+        match self {
+            Self::Scenario(access) => vec![*access(&mut spec.clone())],
+            Self::Fault(access) => vec![*access(&mut spec.sensors.faults.clone())],
+            Self::AllVehicles(access) => {
+                let first = spec.vehicles.first().cloned();
+                first
+                    .map(|mut vehicle| *access(&mut vehicle))
+                    .into_iter()
+                    .collect()
+            }
+            Self::Vehicle(index, VehicleField::ClosingTime) => {
+                let Some(vehicle) = spec.vehicles.get(index) else {
+                    return Vec::new();
+                };
                 let ahead = index
                     .checked_sub(1)
                     .and_then(|front| spec.vehicles.get(front));
-                let time_s = |ahead: &VehicleSpec| {
-                    vehicle.position_m / (vehicle.speed_mps - ahead.speed_mps)
-                };
-                ahead.map(time_s).into_iter().collect()
-            }
-            VehicleField::SpeedShare | VehicleField::PiecesScale => vec![1.0],
-            VehicleField::Load => vec![vehicle.mass_kg() / vehicle.class.mass_kg()],
-            VehicleField::BrakeOffset => {
-                vec![vehicle.max_brake_mps2() - vehicle.class.max_brake_mps2()]
-            }
-            VehicleField::PiecesOnset => pieces_mut(&mut vehicle.driver)
-                .and_then(|pieces| pieces.from_s.first().copied())
-                .into_iter()
-                .collect(),
-            _ => {
-                let unit = field.size_of_one(&vehicle, spec.environment.friction);
-                field
-                    .numbers_mut(&mut vehicle)
-                    .iter()
-                    .map(|number| *number / unit)
+                ahead
+                    .map(|ahead| vehicle.position_m / (vehicle.speed_mps - ahead.speed_mps))
+                    .into_iter()
                     .collect()
             }
+            Self::Vehicle(index, field) => match spec.vehicles.get(index).cloned() {
+                Some(vehicle) => field.get(vehicle, spec.environment.friction),
+                None => Vec::new(),
+            },
         }
     }
 
@@ -339,8 +338,16 @@ impl FieldTarget {
         }
     }
 
+    /// True if the field may change the position or limits of a vehicle, or of the one ahead of it.
+    pub(super) fn affects_gap_ahead(self, vehicle: usize) -> bool {
+        matches!(self, Self::AllVehicles(_))
+            || self
+                .affected_vehicle()
+                .is_some_and(|affected| affected == vehicle || affected + 1 == vehicle)
+    }
+
     /// Returns the vehicle whose limits or position the field changes, if that can make a scenario invalid.
-    pub(super) fn affected_vehicle(self) -> Option<usize> {
+    fn affected_vehicle(self) -> Option<usize> {
         match self {
             Self::Scenario(_) | Self::Fault(_) | Self::AllVehicles(_) => None,
             Self::Vehicle(_, VehicleField::Gap | VehicleField::PiecesOnset) => None,
@@ -350,13 +357,91 @@ impl FieldTarget {
 }
 
 impl VehicleField {
+    /// Sets a field of a vehicle. The closing time depends on the vehicle ahead, and is set by [`FieldTarget::set`].
+    #[inline]
+    fn set(self, vehicle: &mut VehicleSpec, values: &[f64], friction: f64, until_s: f64) {
+        let Some(&value) = values.first() else { return };
+        match self {
+            Self::Class => {
+                let class = VehicleClass::ALL.get(value as usize).copied();
+                vehicle.class = class.unwrap_or(vehicle.class);
+            }
+            Self::ControllerChoice => {
+                let replacement = DriverName::from_number(value)
+                    .filter(|name| name.name() != vehicle.driver.name());
+                if let Some(controller) = replacement.and_then(DriverName::controller) {
+                    vehicle.driver = Driver::Controller(controller);
+                }
+            }
+            Self::Size => {
+                vehicle.length_m = Some(value);
+                vehicle.class = VehicleClass::from_length(value);
+            }
+            Self::SpeedShare => vehicle.speed_mps *= value,
+            Self::Load => apply_load(vehicle, value),
+            Self::BrakeOffset => {
+                vehicle.max_brake_mps2 = Some(vehicle.class.max_brake_mps2() + value)
+            }
+            Self::PiecesOnset => {
+                if let Some(pieces) = pieces_mut(&mut vehicle.driver) {
+                    let later_s = value - pieces.from_s.first().copied().unwrap_or(0.0);
+                    pieces
+                        .from_s
+                        .iter_mut()
+                        .for_each(|from_s| *from_s += later_s);
+                }
+            }
+            Self::PiecesCruise => apply_cruise(vehicle, values, until_s),
+            Self::PiecesScale => {
+                accelerations_mut(&mut vehicle.driver)
+                    .unwrap_or_default()
+                    .iter_mut()
+                    .for_each(|piece| *piece *= value);
+            }
+            _ => {
+                let unit = self.size_of_one(vehicle, friction);
+                for (number, value) in self.numbers_mut(vehicle).iter_mut().zip(values) {
+                    *number = value * unit;
+                }
+            }
+        }
+    }
+
+    /// Returns the values of a field of a vehicle, except the closing time.
+    fn get(self, mut vehicle: VehicleSpec, friction: f64) -> Vec<f64> {
+        match self {
+            Self::Class => vec![f64::from(vehicle.class.number())],
+            Self::ControllerChoice => DriverName::find(vehicle.driver.name())
+                .map(DriverName::number)
+                .into_iter()
+                .collect(),
+            Self::Size => vec![vehicle.length_m()],
+            Self::SpeedShare | Self::PiecesScale => vec![1.0],
+            Self::Load => vec![vehicle.mass_kg() / vehicle.class.mass_kg()],
+            Self::BrakeOffset => {
+                vec![vehicle.max_brake_mps2() - vehicle.class.max_brake_mps2()]
+            }
+            Self::PiecesOnset => pieces_mut(&mut vehicle.driver)
+                .and_then(|pieces| pieces.from_s.first().copied())
+                .into_iter()
+                .collect(),
+            _ => {
+                let unit = self.size_of_one(&vehicle, friction);
+                self.numbers_mut(&mut vehicle)
+                    .iter()
+                    .map(|number| *number / unit)
+                    .collect()
+            }
+        }
+    }
+
     /// Returns the numbers of the scenario that the field sets to its values times [`Self::size_of_one`]; none for a
     /// field that is set in another way.
     fn numbers_mut(self, vehicle: &mut VehicleSpec) -> &mut [f64] {
         let number = match self {
             Self::Number(access) => Some(access(vehicle)),
             Self::Driver(access) => access(&mut vehicle.driver),
-            Self::Setting(place) => setting_mut(&mut vehicle.driver, place),
+            Self::Setting(index) => setting_mut(&mut vehicle.driver, index),
             Self::LaneChange(access) => access(vehicle).map(LaneChange::value_mut),
             Self::Gap | Self::TimeGap => Some(&mut vehicle.position_m),
             Self::FinalSpeedShare => final_speed_mut(&mut vehicle.driver),

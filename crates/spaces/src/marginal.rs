@@ -57,12 +57,12 @@ enum MixturePosition {
 }
 
 impl MixturePosition {
-    fn from_unit(place: f64, slice: f64, is_first: bool) -> Self {
+    fn from_unit(unit: f64, slice: f64, is_first: bool) -> Self {
         match is_first {
-            true if place < slice => Self::PointMass(place / slice),
-            true => Self::Others(((place - slice) / (1.0 - slice)).min(1.0)),
-            false if place > 1.0 - slice => Self::PointMass((place - (1.0 - slice)) / slice),
-            false => Self::Others((place / (1.0 - slice)).min(1.0)),
+            true if unit < slice => Self::PointMass(unit / slice),
+            true => Self::Others(((unit - slice) / (1.0 - slice)).min(1.0)),
+            false if unit > 1.0 - slice => Self::PointMass((unit - (1.0 - slice)) / slice),
+            false => Self::Others((unit / (1.0 - slice)).min(1.0)),
         }
     }
 
@@ -205,14 +205,11 @@ impl CoordinateMarginal {
                 ((value - self.low()) / (self.high() - self.low())).clamp(0.0, 1.0)
             }
             Self::Choice { values, .. } => {
-                let distance = |index: &usize| {
-                    values
-                        .get(*index)
-                        .map_or(f64::INFINITY, |v| (v - value).abs())
-                };
-                let nearest = (0..values.len())
-                    .min_by(|a, b| distance(a).total_cmp(&distance(b)))
-                    .unwrap_or(0);
+                let distances = values.iter().map(|choice| (choice - value).abs());
+                let nearest = distances
+                    .enumerate()
+                    .min_by(|(_, a), (_, b)| a.total_cmp(b))
+                    .map_or(0, |(index, _)| index);
                 (nearest as f64 + 0.5) / values.len() as f64
             }
             Self::PointMass { at, is_first, .. } if value == *at => {
@@ -245,35 +242,9 @@ impl CoordinateMarginal {
             Self::Histogram {
                 edges,
                 probabilities,
-            } => {
-                let mut before = 0.0;
-                for (bin, share) in edges.windows(2).zip(probabilities) {
-                    if u <= before + share && *share > 0.0 {
-                        return self.coordinate(bin[0] + (bin[1] - bin[0]) * (u - before) / share);
-                    }
-                    before += share;
-                }
-                1.0
-            }
-            Self::Choice {
-                probabilities: shares,
-                ..
-            } => {
-                let mut before = 0.0;
-                for (index, share) in shares.iter().enumerate() {
-                    if u < before + share || index + 1 == shares.len() {
-                        let within = if *share > 0.0 {
-                            ((u - before) / share).clamp(0.0, 1.0)
-                        } else {
-                            0.5
-                        };
-                        return (index as f64 + within.min(1.0 - f64::EPSILON))
-                            / shares.len() as f64;
-                    }
-                    before += share;
-                }
-                1.0
-            }
+            } => histogram_quantile(edges, probabilities, u)
+                .map_or(1.0, |value| self.coordinate(value)),
+            Self::Choice { probabilities, .. } => choice_quantile(probabilities, u),
             Self::PointMass {
                 probability: share,
                 is_first,
@@ -302,22 +273,21 @@ impl CoordinateMarginal {
                 probabilities,
             } => {
                 let value = self.value(u);
-                let within = |bin: &[f64]| ((value - bin[0]) / (bin[1] - bin[0])).clamp(0.0, 1.0);
-                let shares = edges
-                    .windows(2)
-                    .zip(probabilities)
-                    .map(|(bin, share)| within(bin) * share);
+                let shares = edges.windows(2).zip(probabilities).map(|(bin, share)| {
+                    let within = ((value - bin[0]) / (bin[1] - bin[0])).clamp(0.0, 1.0);
+                    within * share
+                });
                 shares.sum::<f64>().clamp(0.0, 1.0)
             }
             Self::Choice {
                 probabilities: shares,
                 ..
             } => {
-                let place = u * shares.len() as f64;
-                let index = (place as usize).min(shares.len() - 1);
+                let position = u * shares.len() as f64;
+                let index = (position as usize).min(shares.len() - 1);
                 let before: f64 = shares.iter().take(index).sum();
                 let share = shares.get(index).copied().unwrap_or(0.0);
-                (before + share * (place - index as f64)).clamp(0.0, 1.0)
+                (before + share * (position - index as f64)).clamp(0.0, 1.0)
             }
             Self::PointMass {
                 probability: share,
@@ -410,6 +380,35 @@ impl CoordinateMarginal {
             }
         }
     }
+}
+
+/// Returns the value at CDF value `u`; `None` beyond the last bin.
+fn histogram_quantile(edges: &[f64], shares: &[f64], u: f64) -> Option<f64> {
+    let mut before = 0.0;
+    for (bin, share) in edges.windows(2).zip(shares) {
+        if u <= before + share && *share > 0.0 {
+            return Some(bin[0] + (bin[1] - bin[0]) * (u - before) / share);
+        }
+        before += share;
+    }
+    None
+}
+
+/// Returns the coordinate at CDF value `u`: within the slice of a choice, as far as `u` is within its probability.
+fn choice_quantile(shares: &[f64], u: f64) -> f64 {
+    let mut before = 0.0;
+    for (index, share) in shares.iter().enumerate() {
+        if u < before + share || index + 1 == shares.len() {
+            let within = if *share > 0.0 {
+                ((u - before) / share).clamp(0.0, 1.0)
+            } else {
+                0.5
+            };
+            return (index as f64 + within.min(1.0 - f64::EPSILON)) / shares.len() as f64;
+        }
+        before += share;
+    }
+    1.0
 }
 
 #[cfg(test)]

@@ -98,9 +98,9 @@ pub(super) const LANE_CHANGES: [(&str, LaneChangeAccessor); 2] = [
     ("leaves.", |vehicle| vehicle.leaves.as_mut()),
 ];
 
-pub(super) fn setting_mut(driver: &mut Driver, place: usize) -> Option<&mut f64> {
+pub(super) fn setting_mut(driver: &mut Driver, index: usize) -> Option<&mut f64> {
     if let Driver::Controller(spec) = driver {
-        spec.get_mut(place)
+        spec.get_mut(index)
     } else {
         None
     }
@@ -250,10 +250,8 @@ pub(super) fn known_fields_text() -> String {
         .map(|(name, ..)| *name)
         .filter(|name| !name.starts_with("driver."));
     let vehicle = VEHICLE_FIELDS.iter().map(|(name, ..)| *name).chain(derived);
-    let (scenario, vehicle) = (
-        scenario.collect::<Vec<_>>().join(", "),
-        vehicle.collect::<Vec<_>>().join(", "),
-    );
+    let scenario = scenario.collect::<Vec<_>>().join(", ");
+    let vehicle = vehicle.collect::<Vec<_>>().join(", ");
     format!(
         "there are {scenario}, and in vehicles[i]: {vehicle}, enters.WHEN, leaves.WHEN, driver.NAME.SETTING"
     )

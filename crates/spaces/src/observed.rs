@@ -87,23 +87,15 @@ pub struct ObservedParameter {
 
 impl DrivingExposure {
     pub(super) fn check(&self) -> Result<(), InvalidSpace> {
-        let above = |field: &str, found: f64, least: bool| match found.is_finite()
-            && (found > 0.0 || least && found == 0.0)
-        {
-            true => Ok(()),
-            false => reject(
-                field,
-                format!(
-                    "must be a finite number above 0, found {}",
-                    format_compact(found)
-                ),
-            ),
-        };
         if self.episodes == 0 {
             return reject("exposure.episodes", "must be at least 1, found 0");
         }
-        above("exposure.hours", self.hours, false)?;
-        above("exposure.kilometres", self.kilometres, false)?;
+        check_positive("exposure.hours", self.hours, self.hours > 0.0)?;
+        check_positive(
+            "exposure.kilometres",
+            self.kilometres,
+            self.kilometres > 0.0,
+        )?;
         if self.sources.len() > MAX_SOURCES {
             return reject(
                 "exposure.sources",
@@ -114,52 +106,75 @@ impl DrivingExposure {
             );
         }
         for (index, source) in self.sources.iter().enumerate() {
-            let at = |field: &str| format!("exposure.sources[{index}].{field}");
-            let length = source.name.chars().count();
-            if !(1..=200).contains(&length) || source.name.chars().any(char::is_control) {
-                return reject(
-                    at("name"),
-                    "must have 1 to 200 characters, none of them a control character",
-                );
-            }
-            above(&at("hours"), source.hours, true)?;
-            above(&at("kilometres"), source.kilometres, true)?;
+            source.check(&format!("exposure.sources[{index}]"))?;
         }
         if self.sources.is_empty() {
             return Ok(());
         }
-        let sum = |of: fn(&SourceExposure) -> f64| self.sources.iter().map(of).sum::<f64>();
-        for (field, all, found) in [
-            (
-                "exposure.episodes",
-                self.episodes as f64,
-                sum(|source| source.episodes as f64),
-            ),
-            ("exposure.hours", self.hours, sum(|source| source.hours)),
-            (
-                "exposure.kilometres",
-                self.kilometres,
-                sum(|source| source.kilometres),
-            ),
-            (
-                "exposure.undescribed_brakings",
-                self.undescribed_brakings as f64,
-                sum(|source| source.undescribed_brakings as f64),
-            ),
-        ] {
-            if (all - found).abs() > 1e-6 * all {
-                return reject(
-                    field,
-                    format!(
-                        "is {}, and the sources add up to {}",
-                        format_compact(all),
-                        format_compact(found)
-                    ),
-                );
-            }
+        self.check_sum("exposure.episodes", self.episodes as f64, |source| {
+            source.episodes as f64
+        })?;
+        self.check_sum("exposure.hours", self.hours, |source| source.hours)?;
+        self.check_sum("exposure.kilometres", self.kilometres, |source| {
+            source.kilometres
+        })?;
+        let undescribed = self.undescribed_brakings as f64;
+        self.check_sum("exposure.undescribed_brakings", undescribed, |source| {
+            source.undescribed_brakings as f64
+        })
+    }
+
+    /// Checks that a number is the sum of that of the sources.
+    fn check_sum(
+        &self,
+        field: &str,
+        all: f64,
+        of_source: fn(&SourceExposure) -> f64,
+    ) -> Result<(), InvalidSpace> {
+        let sum = self.sources.iter().map(of_source).sum::<f64>();
+        if (all - sum).abs() > 1e-6 * all {
+            return reject(
+                field,
+                format!(
+                    "is {}, and the sources add up to {}",
+                    format_compact(all),
+                    format_compact(sum)
+                ),
+            );
         }
         Ok(())
     }
+}
+
+impl SourceExposure {
+    fn check(&self, path: &str) -> Result<(), InvalidSpace> {
+        let length = self.name.chars().count();
+        if !(1..=200).contains(&length) || self.name.chars().any(char::is_control) {
+            return reject(
+                format!("{path}.name"),
+                "must have 1 to 200 characters, none of them a control character",
+            );
+        }
+        check_positive(&format!("{path}.hours"), self.hours, self.hours >= 0.0)?;
+        check_positive(
+            &format!("{path}.kilometres"),
+            self.kilometres,
+            self.kilometres >= 0.0,
+        )
+    }
+}
+
+fn check_positive(field: &str, value: f64, is_positive: bool) -> Result<(), InvalidSpace> {
+    if value.is_finite() && is_positive {
+        return Ok(());
+    }
+    reject(
+        field,
+        format!(
+            "must be a finite number above 0, found {}",
+            format_compact(value)
+        ),
+    )
 }
 
 impl ObservedData {
@@ -181,83 +196,86 @@ impl ObservedData {
                 format!("must be below the number of episodes, {episodes}, found {cluster}"),
             );
         }
-        if let Some(found) = self
+        if let Some(share) = self
             .search_share
             .filter(|share| !(0.5..1.0).contains(share))
         {
             return reject(
                 "observed.search_share",
-                format!("must be from 0.5, below 1, found {}", format_compact(found)),
+                format!("must be from 0.5, below 1, found {}", format_compact(share)),
             );
         }
         if let Some(exposure) = &space.exposure
             && exposure.episodes != episodes as u64
         {
-            let found = exposure.episodes;
+            let stated = exposure.episodes;
             return reject(
                 "exposure.episodes",
-                format!("is {found}, and {episodes} are observed"),
+                format!("is {stated}, and {episodes} are observed"),
             );
         }
+        self.check_parameters(space)
+    }
+
+    /// Checks that the observed parameters are different ones of the space, with one value for each episode.
+    fn check_parameters(&self, space: &SpaceSpec) -> Result<(), InvalidSpace> {
         if self.parameters.is_empty() {
             return reject("observed.parameters", "must have at least one");
         }
         for (index, parameter) in self.parameters.iter().enumerate() {
-            let at = |field: &str| format!("observed.parameters[{index}].{field}");
-            let ObservedParameter {
-                name,
-                low,
-                high,
-                point_mass,
-                values,
-            } = parameter;
-            if !space.parameters.iter().any(|known| known.name == *name) {
-                return reject(at("name"), format!("there is no parameter `{name}`"));
-            }
-            if self
-                .parameters
-                .iter()
-                .take(index)
-                .any(|known| known.name == *name)
-            {
-                return reject(at("name"), format!("`{name}` is named twice"));
-            }
-            if !(low.is_finite() && high.is_finite() && low < high) {
-                let problem = format!(
-                    "must be a number below high, found {} and {}",
-                    format_compact(*low),
-                    format_compact(*high)
-                );
-                return reject(at("low"), problem);
-            }
-            if let Some(found) = point_mass.filter(|point| point != low && point != high) {
-                let (low, high, found) = (
-                    format_compact(*low),
-                    format_compact(*high),
-                    format_compact(found),
-                );
+            let name = &parameter.name;
+            let path = format!("observed.parameters[{index}]");
+            if !space.parameters.iter().any(|spec| spec.name == *name) {
                 return reject(
-                    at("point_mass"),
-                    format!("must be {low} or {high}, found {found}"),
+                    format!("{path}.name"),
+                    format!("there is no parameter `{name}`"),
                 );
             }
-            if values.len() != episodes {
-                return reject(
-                    at("values"),
-                    format!("must be {episodes}, one an episode, found {}", values.len()),
-                );
+            let mut earlier = self.parameters.iter().take(index);
+            if earlier.any(|earlier| earlier.name == *name) {
+                return reject(format!("{path}.name"), format!("`{name}` is named twice"));
             }
-            if let Some(found) = values.iter().find(|value| !(low..=high).contains(value)) {
-                let (low, high, found) = (
-                    format_compact(*low),
-                    format_compact(*high),
-                    format_compact(*found),
-                );
-                return reject(
-                    at("values"),
-                    format!("must be from {low} to {high}, found {found}"),
-                );
-            }
+            parameter.check_values(&path, self.braking_clusters.len())?;
+        }
+        Ok(())
+    }
+}
+
+impl ObservedParameter {
+    /// Checks the range and the values of the parameter at `path`.
+    fn check_values(&self, path: &str, episodes: usize) -> Result<(), InvalidSpace> {
+        let Self {
+            low, high, values, ..
+        } = self;
+        let [low_text, high_text] = [*low, *high].map(format_compact);
+        if !(low.is_finite() && high.is_finite() && low < high) {
+            return reject(
+                format!("{path}.low"),
+                format!("must be a number below high, found {low_text} and {high_text}"),
+            );
+        }
+        if let Some(point) = self
+            .point_mass
+            .filter(|point| point != low && point != high)
+        {
+            let point = format_compact(point);
+            return reject(
+                format!("{path}.point_mass"),
+                format!("must be {low_text} or {high_text}, found {point}"),
+            );
+        }
+        if values.len() != episodes {
+            return reject(
+                format!("{path}.values"),
+                format!("must be {episodes}, one an episode, found {}", values.len()),
+            );
+        }
+        if let Some(value) = values.iter().find(|value| !(low..=high).contains(value)) {
+            let value = format_compact(*value);
+            return reject(
+                format!("{path}.values"),
+                format!("must be from {low_text} to {high_text}, found {value}"),
+            );
         }
         Ok(())
     }

@@ -18,19 +18,24 @@ pub(super) struct LikelihoodRegion {
 }
 
 impl LikelihoodRegion {
+    /// Returns the distance of independent normal scores from the median.
+    fn distance(&self, scores: &[f64]) -> f64 {
+        let squares = self
+            .coordinates
+            .iter()
+            .filter_map(|&index| scores.get(index))
+            .map(|score| score * score);
+        squares.sum::<f64>().sqrt()
+    }
+
     pub(super) fn new(space: &ScenarioSpace, observed: &ObservedData) -> Option<Self> {
         let share = observed.search_share?;
-        let of_observed = |name: &str| {
-            observed
-                .parameters
-                .iter()
-                .any(|parameter| parameter.name == name)
-        };
-        let mut coordinates: Vec<usize> = space
-            .parameters
-            .iter()
-            .filter(|one| of_observed(&one.name))
-            .flat_map(|one| one.coordinates())
+        let observed_parameters = space.parameters.iter().filter(|parameter| {
+            let mut observed = observed.parameters.iter();
+            observed.any(|observed| observed.name == parameter.name)
+        });
+        let mut coordinates: Vec<usize> = observed_parameters
+            .flat_map(|parameter| parameter.coordinates())
             .collect();
         coordinates.extend(space.copula.iter().flat_map(|copula| copula.coordinates()));
         coordinates.sort_unstable();
@@ -67,7 +72,8 @@ impl ScenarioSpace {
                 *coordinate = low + coordinate.clamp(0.0, 1.0) * (high - low);
             }
         }
-        let (mut scores, distance) = self.scores(&narrowed, region);
+        let mut scores = self.scores(&narrowed);
+        let distance = region.distance(&scores);
         if distance <= region.radius {
             return narrowed;
         }
@@ -89,32 +95,29 @@ impl ScenarioSpace {
     /// Returns true if a search may evaluate the point, up to rounding.
     #[must_use]
     pub fn is_in_search_region(&self, point: &[f64]) -> bool {
-        self.region
-            .as_ref()
-            .is_none_or(|region| self.scores(point, region).1 <= region.radius * (1.0 + 1e-6))
+        self.region.as_ref().is_none_or(|region| {
+            region.distance(&self.scores(point)) <= region.radius * (1.0 + 1e-6)
+        })
     }
 
-    /// Returns the independent normal scores of a point, and their distance from the median.
-    fn scores(&self, point: &[f64], region: &LikelihoodRegion) -> (Vec<f64>, f64) {
+    /// Returns the independent normal scores of a point.
+    fn scores(&self, point: &[f64]) -> Vec<f64> {
         let below: Vec<f64> = self
             .coordinate_parameters()
             .zip(point)
-            .map(|(parameter, &at)| parameter.marginal.cdf(at))
+            .map(|(parameter, &coordinate)| parameter.marginal.cdf(coordinate))
             .collect();
-        let score = |share: &f64| {
-            Gauss::standard().inverse_cdf(share.clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON))
-        };
-        let mut scores: Vec<f64> = below.iter().map(score).collect();
+        let mut scores: Vec<f64> = below
+            .iter()
+            .map(|share| {
+                let share = share.clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON);
+                Gauss::standard().inverse_cdf(share)
+            })
+            .collect();
         if let Some(copula) = &self.copula {
             copula.decorrelate(&below, &mut scores);
         }
-        let squares = region
-            .coordinates
-            .iter()
-            .filter_map(|&index| scores.get(index))
-            .map(|score| score * score);
-        let distance = squares.sum::<f64>().sqrt();
-        (scores, distance)
+        scores
     }
 
     /// Returns the smallest and largest observed value of a parameter; `None` unless the space was fitted.
@@ -126,7 +129,7 @@ impl ScenarioSpace {
             .as_ref()?
             .parameters
             .iter()
-            .find(|one| one.name == parameter)?;
+            .find(|observed| observed.name == parameter)?;
         let low = observed
             .values
             .iter()

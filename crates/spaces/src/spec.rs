@@ -281,80 +281,64 @@ impl fmt::Display for DistributionSpec {
             Self::LogUniform(UniformSpec { low, high }) => {
                 write!(out, "{low} to {high}, evenly on a logarithmic scale")
             }
-            Self::Normal(NormalSpec {
-                mean,
-                deviation,
-                low,
-                high,
-            }) => {
-                write!(out, "{low} to {high}, normal: {mean} ± {deviation}")
-            }
-            Self::LogNormal(LogNormalSpec {
-                ln_mean,
-                ln_deviation,
-                low,
-                high,
-            }) => {
-                write!(
-                    out,
-                    "{low} to {high}, log-normal: logarithm {ln_mean} ± {ln_deviation}"
-                )
-            }
-            Self::Gamma(ShapeScaleSpec {
-                shape,
-                scale,
-                low,
-                high,
-            }) => {
-                write!(out, "{low} to {high}, gamma: shape {shape}, scale {scale}")
-            }
-            Self::Weibull(ShapeScaleSpec {
-                shape,
-                scale,
-                low,
-                high,
-            }) => {
-                write!(
-                    out,
-                    "{low} to {high}, Weibull: shape {shape}, scale {scale}"
-                )
-            }
-            Self::Histogram(HistogramSpec { edges, weights }) => {
-                let [edges, weights] = [edges, weights]
-                    .map(|list| list.iter().map(f64::to_string).collect::<Vec<_>>());
-                write!(
-                    out,
-                    "histogram with edges {} and weights {}",
-                    edges.join(", "),
-                    weights.join(", ")
-                )
-            }
+            Self::Normal(normal) => write!(
+                out,
+                "{} to {}, normal: {} ± {}",
+                normal.low, normal.high, normal.mean, normal.deviation
+            ),
+            Self::LogNormal(normal) => write!(
+                out,
+                "{} to {}, log-normal: logarithm {} ± {}",
+                normal.low, normal.high, normal.ln_mean, normal.ln_deviation
+            ),
+            Self::Gamma(gamma) => write_shape_and_scale(out, "gamma", gamma),
+            Self::Weibull(weibull) => write_shape_and_scale(out, "Weibull", weibull),
+            Self::Histogram(HistogramSpec { edges, weights }) => write!(
+                out,
+                "histogram with edges {} and weights {}",
+                join_numbers(edges, ", "),
+                join_numbers(weights, ", ")
+            ),
             Self::Choice(ChoiceSpec { values, weights }) => {
-                let words: Vec<String> = values.iter().map(ParameterValue::to_string).collect();
-                write!(out, "{}", words.join(" or "))?;
-                let weights = weights
-                    .iter()
-                    .flatten()
-                    .map(f64::to_string)
-                    .collect::<Vec<_>>();
-                if weights.is_empty() {
-                    Ok(())
-                } else {
-                    write!(out, ", {}", weights.join(" to "))
+                let values: Vec<String> = values.iter().map(ParameterValue::to_string).collect();
+                write!(out, "{}", values.join(" or "))?;
+                match weights.as_deref() {
+                    None | Some([]) => Ok(()),
+                    Some(weights) => write!(out, ", {}", join_numbers(weights, " to ")),
                 }
             }
             Self::PointMass(PointMassSpec {
                 at,
                 probability,
                 others,
-            }) => {
-                write!(
-                    out,
-                    "{at} with probability {probability}, otherwise {others}"
-                )
-            }
+            }) => write!(
+                out,
+                "{at} with probability {probability}, otherwise {others}"
+            ),
         }
     }
+}
+
+fn write_shape_and_scale(
+    out: &mut fmt::Formatter<'_>,
+    family: &str,
+    spec: &ShapeScaleSpec,
+) -> fmt::Result {
+    let ShapeScaleSpec {
+        shape,
+        scale,
+        low,
+        high,
+    } = spec;
+    write!(
+        out,
+        "{low} to {high}, {family}: shape {shape}, scale {scale}"
+    )
+}
+
+fn join_numbers(numbers: &[f64], separator: &str) -> String {
+    let texts: Vec<String> = numbers.iter().map(f64::to_string).collect();
+    texts.join(separator)
 }
 
 impl fmt::Display for ParameterValue {

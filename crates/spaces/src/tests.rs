@@ -35,15 +35,15 @@ fn built_in_spaces_are_valid_and_their_nominal_scenario_is_the_base() {
             panic!("spelled out")
         };
         let nominal = space.scenario(&space.nominal()).unwrap();
-        for (found, expected) in nominal.vehicles().iter().zip(&base.vehicles) {
-            assert!((found.position_m - expected.position_m).abs() < 1e-12);
-            assert_eq!(found.driver.name(), expected.driver.name());
-            assert!((found.mass_kg() - expected.mass_kg()).abs() < 1e-9);
-            assert_eq!(found.max_brake_mps2(), expected.max_brake_mps2());
+        for (vehicle, expected) in nominal.vehicles().iter().zip(&base.vehicles) {
+            assert!((vehicle.position_m - expected.position_m).abs() < 1e-12);
+            assert_eq!(vehicle.driver.name(), expected.driver.name());
+            assert!((vehicle.mass_kg() - expected.mass_kg()).abs() < 1e-9);
+            assert_eq!(vehicle.max_brake_mps2(), expected.max_brake_mps2());
         }
         let text = file::to_toml(&space).unwrap();
-        let again = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
-        assert_eq!(again.draw(1, 2), space.draw(1, 2), "{text}");
+        let restored = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
+        assert_eq!(restored.draw(1, 2), space.draw(1, 2), "{text}");
     }
 }
 
@@ -62,8 +62,8 @@ proptest! {
             let scenario = space.scenario_at(point).unwrap();
             prop_assert!(scenario.has_vehicle_under_test());
             let values = space.values(point);
-            for (again, value) in space.values(&space.point(&values)).iter().zip(&values) {
-                prop_assert!((again - value).abs() <= 1e-12 * (1.0 + value.abs()));
+            for (restored, value) in space.values(&space.point(&values)).iter().zip(&values) {
+                prop_assert!((restored - value).abs() <= 1e-12 * (1.0 + value.abs()));
             }
             prop_assert!(space.contains(&space.values(&space.draw_point(seed, index))));
             let mut beyond = space.values(&space.draw_point(seed, index));
@@ -79,7 +79,8 @@ proptest! {
 fn ks_distance(mut a: Vec<f64>, mut b: Vec<f64>) -> f64 {
     a.sort_by(f64::total_cmp);
     b.sort_by(f64::total_cmp);
-    let share = |of: &[f64], x: f64| of.partition_point(|y| *y <= x) as f64 / of.len() as f64;
+    let share =
+        |sample: &[f64], x: f64| sample.partition_point(|y| *y <= x) as f64 / sample.len() as f64;
     a.iter()
         .chain(&b)
         .map(|&x| (share(&a, x) - share(&b, x)).abs())
@@ -113,12 +114,12 @@ fn the_paper_space_has_the_distribution_of_the_paper() {
     ];
     // Two samples of one distribution exceed this distance once in about 10 000 times.
     let limit = 2.2 * (2.0 / DRAWS as f64).sqrt();
-    for (name, of) in quantities {
-        let found = ks_distance(
-            ours.iter().map(of).collect(),
-            theirs.iter().map(of).collect(),
+    for (name, quantity) in quantities {
+        let distance = ks_distance(
+            ours.iter().map(quantity).collect(),
+            theirs.iter().map(quantity).collect(),
         );
-        assert!(found < limit, "{name}: {found}");
+        assert!(distance < limit, "{name}: {distance}");
     }
     let (ours, theirs) = (ours[0].spec(), theirs[0].spec());
     assert_eq!(
@@ -172,16 +173,16 @@ fn dependent_speeds_and_gaps_match_their_definition() {
         &NoDriverFiles,
     )
     .unwrap();
-    let found = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
+    let scenario = space.scenario(&[0.5, 0.4, 3.0, 30.0]).unwrap();
     assert_eq!(
-        [0, 1].map(|index| found.vehicles()[index].speed_mps),
+        [0, 1].map(|index| scenario.vehicles()[index].speed_mps),
         [15.0, 30.0]
     );
     assert!(
-        (found.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9,
+        (scenario.initial_gap_m(1).unwrap() - 45.0).abs() < 1e-9,
         "3 s at 15 m/s"
     );
-    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &found.vehicles()[0].driver else {
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &scenario.vehicles()[0].driver else {
         panic!("a script")
     };
     assert!((brake.final_speed_mps - 6.0).abs() < 1e-12);
@@ -351,7 +352,7 @@ proptest! {
 /// The space separates controllers: reference drivers pass without hard braking, a policy rewarded only for avoiding
 /// collisions does not.
 #[test]
-fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
+fn everyday_traffic_reveals_unnecessary_hard_braking() {
     let space = space("traffic");
     let scenarios: Vec<_> = (0..200)
         .map(|index| space.draw(1, index).unwrap())
@@ -385,10 +386,10 @@ fn everyday_traffic_needs_no_hard_braking_and_reveals_it() {
                 .unnecessary
                 .is_empty()
         });
-        let found = needless.into_iter().filter(|needless| *needless).count();
+        let count = needless.into_iter().filter(|needless| *needless).count();
         assert!(
-            (least..=most).contains(&found),
-            "{name} brakes without cause in {found} of 200 draws"
+            (least..=most).contains(&count),
+            "{name} brakes without cause in {count} of 200 draws"
         );
     }
 }

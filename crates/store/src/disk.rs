@@ -91,10 +91,10 @@ impl StagedFiles {
         let folder = parent_folder(path);
         let lock = match self.locks.entry(folder.to_owned()) {
             Entry::Occupied(lock) => lock.into_mut(),
-            Entry::Vacant(place) => {
+            Entry::Vacant(entry) => {
                 // A folder that cannot be listed may still be writable.
                 let _ = remove_unfinished(folder);
-                place.insert(unfinished::create_lock(folder)?)
+                entry.insert(unfinished::create_lock(folder)?)
             }
         };
         let (mut file, temp_path) = unfinished::create_protected(lock.path(), self.staged.len())?;
@@ -194,7 +194,7 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
                 problem,
             )));
         }
-        made => made.map_err(DiskError::at(path))?,
+        result => result.map_err(DiskError::at(path))?,
     }
     sync_folder(parent_folder(path))
 }

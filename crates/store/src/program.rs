@@ -32,8 +32,8 @@ pub fn set_library_path(library: PathBuf) {
 /// [`DiskError`] if the executable cannot be found or read.
 pub fn identity() -> Result<&'static str, DiskError> {
     static IDENTITY: OnceLock<String> = OnceLock::new();
-    if let Some(known) = IDENTITY.get() {
-        return Ok(known);
+    if let Some(identity) = IDENTITY.get() {
+        return Ok(identity);
     }
     let path = match LIBRARY.get() {
         Some(library) => library.clone(),

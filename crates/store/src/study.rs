@@ -316,33 +316,37 @@ pub fn open_finished<S: Study>(
     command: &str,
 ) -> Result<CompletedRun, RunFolderError> {
     let kind = S::KIND;
-    let refused = |problem: String| RunFolderError::NotFinished {
-        folder: folder.to_owned(),
-        problem,
-    };
-    match run_folder::read_state(folder)? {
-        RunState::Missing => Err(refused(format!("the folder holds no {kind}"))),
+    let problem = match run_folder::read_state(folder)? {
+        RunState::Missing => format!("the folder holds no {kind}"),
         RunState::InProgress {
-            kind: found,
+            kind: run_kind,
             is_of_this_build,
-        } if found == kind => {
+        } if run_kind == kind => {
             let advice = if is_of_this_build {
                 format!("`{command} --resume` completes it")
             } else {
                 OTHER_BUILD_MESSAGE.to_owned()
             };
-            Err(refused(format!("the {kind} is not complete: {advice}")))
+            format!("the {kind} is not complete: {advice}")
         }
-        RunState::Complete(finished) if finished.kind() == kind => Ok(finished),
-        RunState::InProgress { kind: found, .. } => Err(other_kind(folder, found, kind)),
-        RunState::Complete(finished) => Err(other_kind(folder, finished.kind().to_owned(), kind)),
-    }
+        RunState::Complete(finished) if finished.kind() == kind => return Ok(finished),
+        RunState::InProgress { kind: run_kind, .. } => {
+            return Err(other_kind(folder, run_kind, kind));
+        }
+        RunState::Complete(finished) => {
+            return Err(other_kind(folder, finished.kind().to_owned(), kind));
+        }
+    };
+    Err(RunFolderError::NotFinished {
+        folder: folder.to_owned(),
+        problem,
+    })
 }
 
-fn other_kind(folder: &Path, found: String, kind: &str) -> RunFolderError {
+fn other_kind(folder: &Path, run_kind: String, kind: &str) -> RunFolderError {
     RunFolderError::OtherKind {
         path: folder.join(MANIFEST_FILE),
-        found,
+        found: run_kind,
         kind: kind.to_owned(),
     }
 }

@@ -48,7 +48,7 @@ impl ControllerFileDraft<'_> {
     /// Returns the normalisation if it fits the inputs.
     fn fitting_normalisation(&self) -> Option<&Normalisation> {
         self.normalisation
-            .filter(|found| found.means.len() == self.network.network.inputs())
+            .filter(|statistics| statistics.means.len() == self.network.network.inputs())
     }
 
     fn head(&self) -> String {
@@ -74,7 +74,8 @@ impl ControllerFileDraft<'_> {
         let quantity = own
             .and_then(|own| own.quantity)
             .unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
-        let (mut offset, mut scale) = own.map_or((0.0, 1.0), |own| (own.offset, own.scale));
+        let mut offset = own.map_or(0.0, |own| own.offset);
+        let mut scale = own.map_or(1.0, |own| own.scale);
         let space = self
             .network
             .saved_model()
@@ -82,9 +83,9 @@ impl ControllerFileDraft<'_> {
         let [mut low, mut high] = space
             .map(|space| finite_bounds(&space.low, &space.high, index))
             .unwrap_or_default();
-        if let Some(found) = self.fitting_normalisation() {
-            (offset, scale) = (found.means[index], found.deviations[index]);
-            (low, high) = (Some(-found.limit), Some(found.limit));
+        if let Some(statistics) = self.fitting_normalisation() {
+            (offset, scale) = (statistics.means[index], statistics.deviations[index]);
+            (low, high) = (Some(-statistics.limit), Some(statistics.limit));
         }
         let name = quantity.name();
         let mut text = format!("\n[[inputs]]\nquantity = \"{name}\" # a guess\n");

@@ -95,9 +95,9 @@ fn locate_in_json(text: &str, field: &str) -> Range<usize> {
             }
             _ => None,
         };
-        let Some(found) = next else { break };
-        span = found.start()..found.end();
-        value = Some(found);
+        let Some(item) = next else { break };
+        span = item.start()..item.end();
+        value = Some(item);
     }
     span
 }

@@ -42,26 +42,24 @@ impl EpisodeClusters {
 /// and Feuer, Confidence intervals for directly standardized rates, Statistics in Medicine 16, 1997). With single
 /// episodes that is the exact Poisson interval (Garwood, 1936).
 #[must_use]
-pub(crate) fn expected_count_interval(seen: EpisodeClusters, confidence: f64) -> [f64; 2] {
-    let (sum, variance, largest) = (
-        seen.episodes as f64,
-        seen.sum_of_squares,
-        seen.largest as f64,
-    );
+pub(crate) fn expected_count_interval(clusters: EpisodeClusters, confidence: f64) -> [f64; 2] {
+    let sum = clusters.episodes as f64;
+    let variance = clusters.sum_of_squares;
+    let largest = clusters.largest as f64;
     let tail = 0.5 * (1.0 - confidence);
-    let quantile = |mean: f64, variance: f64, share: f64| {
-        Gamma::new(mean * mean / variance, mean / variance)
-            .map_or(f64::NAN, |gamma| gamma.inverse_cdf(share))
-    };
     let low = if sum > 0.0 {
-        quantile(sum, variance, tail)
+        gamma_quantile(sum, variance, tail)
     } else {
         0.0
     };
-    [
-        low,
-        quantile(sum + largest, variance + largest * largest, 1.0 - tail),
-    ]
+    let high = gamma_quantile(sum + largest, variance + largest * largest, 1.0 - tail);
+    [low, high]
+}
+
+/// Returns a quantile of the gamma distribution with a mean and a variance.
+fn gamma_quantile(mean: f64, variance: f64, share: f64) -> f64 {
+    Gamma::new(mean * mean / variance, mean / variance)
+        .map_or(f64::NAN, |gamma| gamma.inverse_cdf(share))
 }
 
 #[cfg(test)]
@@ -69,29 +67,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lone_waves_have_the_exact_interval_of_poisson() {
+    fn single_episodes_have_the_exact_poisson_interval() {
         for (count, low, high) in [
             (0, 0.0, 3.689),
             (1, 0.0253, 5.572),
             (10, 4.795, 18.390),
             (100, 81.364, 121.627),
         ] {
-            let [found_low, found_high] =
-                expected_count_interval(EpisodeClusters::singletons(count), 0.95);
+            let [lower, upper] = expected_count_interval(EpisodeClusters::singletons(count), 0.95);
             assert!(
-                (found_low - low).abs() < 1e-3 && (found_high - high).abs() < 1e-3,
-                "{count}: {found_low} {found_high}"
+                (lower - low).abs() < 1e-3 && (upper - high).abs() < 1e-3,
+                "{count}: {lower} {upper}"
             );
         }
         let [low, high] = expected_count_interval(EpisodeClusters::from_sizes(&[3; 10]), 0.95);
-        let [lone_low, lone_high] =
+        let [single_low, single_high] =
             expected_count_interval(EpisodeClusters::from_sizes(&[1; 10]), 0.95);
-        assert!((low - 3.0 * lone_low).abs() < 1e-9 && (high - 3.0 * lone_high).abs() < 1e-9);
+        assert!((low - 3.0 * single_low).abs() < 1e-9 && (high - 3.0 * single_high).abs() < 1e-9);
     }
 
     /// A large Poisson count is nearly normal.
     #[test]
-    fn very_many_episodes_are_not_taken_for_fewer() {
+    fn interval_of_ten_million_episodes_is_nearly_normal() {
         let deviation = 1e7_f64.sqrt();
         let [low, high] = expected_count_interval(EpisodeClusters::singletons(10_000_000), 0.95);
         assert!((1e7 - low - 1.96 * deviation).abs() < 10.0, "{low}");

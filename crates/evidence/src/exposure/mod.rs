@@ -190,14 +190,15 @@ impl RatePerExposure {
     #[must_use]
     pub fn new(
         space: &ScenarioSpace,
-        known: FailureProbability<'_>,
+        probability: FailureProbability<'_>,
         resamples: Result<&Resamples, &ResamplingError>,
     ) -> Option<Self> {
         let exposure = space.spec().exposure.as_ref()?;
-        let seen = episode_clusters(space);
-        let (estimate, alpha) = (known.estimate()?, 1.0 - CONFIDENCE);
-        let [low, high] = known.interval(CONFIDENCE)?;
-        let counted = expected_count_interval(seen, 1.0 - alpha / 2.0);
+        let clusters = episode_clusters(space);
+        let estimate = probability.estimate()?;
+        let alpha = 1.0 - CONFIDENCE;
+        let [low, high] = probability.interval(CONFIDENCE)?;
+        let counted = expected_count_interval(clusters, 1.0 - alpha / 2.0);
         let episodes = exposure.episodes as f64;
         let stands_for = (episodes + exposure.undescribed_brakings as f64) / episodes;
         let figures = |apart: [f64; 3], jointly: [f64; 2]| {
@@ -217,12 +218,12 @@ impl RatePerExposure {
                 per_1000_km: per(exposure.kilometres / 1000.0),
             }
         };
-        let jointly = known.interval(1.0 - alpha / 2.0)?;
+        let jointly = probability.interval(1.0 - alpha / 2.0)?;
         let fitted = figures([estimate, low, high], jointly);
         let with_data = resamples.ok().and_then(|resamples| {
             // Data uncertainty never shortens the interval, even if all resamples lie on one side.
             let with =
-                |[low, high]: [f64; 2], known: [f64; 2]| [low.min(known[0]), high.max(known[1])];
+                |[low, high]: [f64; 2], range: [f64; 2]| [low.min(range[0]), high.max(range[1])];
             let [low, high] = with(resamples.percentile_interval(CONFIDENCE)?, [low, high]);
             Some(WithDataUncertainty {
                 rates: figures(
@@ -232,16 +233,16 @@ impl RatePerExposure {
                 resamples: resamples.count(),
                 failed_fits: resamples.failed_fits,
                 runs_each: resamples.runs_each,
-                counting_variance: seen.sum_of_squares / episodes.powi(2),
+                counting_variance: clusters.sum_of_squares / episodes.powi(2),
                 data_variance: (estimate > 0.0)
                     .then(|| resamples.data_variance / (estimate * estimate)),
-                sampling_variance: known.relative_variance(),
+                sampling_variance: probability.relative_variance(),
             })
         });
         Some(Self {
             episodes: exposure.episodes,
             undescribed_brakings: exposure.undescribed_brakings,
-            clusters: seen.clusters,
+            clusters: clusters.clusters,
             hours: exposure.hours,
             kilometres: exposure.kilometres,
             confidence: CONFIDENCE,

@@ -116,13 +116,13 @@ impl KnownTraffic {
 /// If each interval holds the truth with a probability of 95 %, fewer than 10 of 12 hold it with a probability of 2 %
 /// (binomial distribution). The seed is fixed.
 #[test]
-fn rates_of_twelve_recordings_are_held() {
+fn intervals_contain_the_true_rates_of_recordings() {
     let extraction = ExtractionConfig {
         vehicles: 2,
         min_brake: MinBrake::default(),
         leaders: LeaderSelection::Any,
     };
-    let mut held = 0;
+    let mut covered = 0;
     for index in 0..12 {
         let traffic = KnownTraffic::new(index);
         let random = &mut stream(u64::from(index), Purpose::Search, 54);
@@ -141,14 +141,14 @@ fn rates_of_twelve_recordings_are_held() {
             traffic.hours
         );
         let space = fit(&sample, "known", 19, 0).unwrap().space;
-        let place = |name: &str| {
+        let coordinate_of = |name: &str| {
             space
                 .parameters()
                 .iter()
-                .position(|one| one.name() == name)
+                .position(|parameter| parameter.name() == name)
                 .unwrap()
         };
-        let [brake, gap] = ["lead_brake_mps2", "time_gap_1_s"].map(place);
+        let [brake, gap] = ["lead_brake_mps2", "time_gap_1_s"].map(coordinate_of);
         let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
             let fails = |index| {
                 let values = space.values(&space.draw_point(seed, index));
@@ -158,7 +158,7 @@ fn rates_of_twelve_recordings_are_held() {
         };
         let runs = 2000;
         let failed = failures(&space, 0, runs).unwrap();
-        let known = FailureProbability::Counted {
+        let probability = FailureProbability::Counted {
             failures: failed,
             unknown: 0,
             runs,
@@ -166,7 +166,7 @@ fn rates_of_twelve_recordings_are_held() {
         let resamples = count_on_resamples(&space, 0, 79, 200, &mut failures)
             .unwrap()
             .unwrap();
-        let rate = RatePerExposure::new(&space, known, Ok(&resamples)).unwrap();
+        let rate = RatePerExposure::new(&space, probability, Ok(&resamples)).unwrap();
         let interval = rate.with_data_uncertainty.unwrap().rates.per_hour;
         let truth = traffic.failures_per_hour(random);
         let holds = (interval.lower..=interval.upper).contains(&truth);
@@ -174,8 +174,8 @@ fn rates_of_twelve_recordings_are_held() {
             "{} episodes, {truth:.3} failures an hour, {interval:.3?}, {holds}",
             sample.exposure.episodes
         );
-        held += u32::from(holds);
+        covered += u32::from(holds);
     }
-    println!("{held} of 12 intervals hold the rate per hour");
-    assert!(held >= 10, "{held}");
+    println!("{covered} of 12 intervals hold the rate per hour");
+    assert!(covered >= 10, "{covered}");
 }

@@ -7,7 +7,7 @@ use statrs::distribution::{Beta, ContinuousCDF};
 use crate::fit::{find_edit, refit, resample};
 use crate::rare::RareEstimate;
 use crumple_sim::random::{Purpose, derived_seed, stream};
-use crumple_spaces::ScenarioSpace;
+use crumple_spaces::{ObservedData, ScenarioSpace};
 
 /// Offset that separates random streams of posterior samples from those of resamples.
 const DRAW_STREAM_OFFSET: u64 = 1 << 40;
@@ -94,11 +94,11 @@ impl Resamples {
     pub fn percentile_interval(&self, confidence: f64) -> Option<[f64; 2]> {
         let [lows, highs] = &self.sorted_bounds;
         // 1 − (1 − α) is not exactly α.
-        let place = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
-        let from_end = place.checked_sub(1)?;
+        let rank = (0.5 * (1.0 - confidence) * (lows.len() + 1) as f64 + 1e-9).floor() as usize;
+        let from_end = rank.checked_sub(1)?;
         Some([
             *lows.get(from_end)?,
-            *highs.get(highs.len().checked_sub(place)?)?,
+            *highs.get(highs.len().checked_sub(rank)?)?,
         ])
     }
 
@@ -109,11 +109,29 @@ impl Resamples {
     }
 }
 
-fn refit_to_resamples(
+/// Spaces that are fitted to resamples.
+struct RefittedSpaces {
+    /// Each space with the index of its resample.
+    spaces: Vec<(u64, ScenarioSpace)>,
+    /// Number of resamples to which no space could be fitted.
+    unfit: u32,
+}
+
+fn refit_to_resample(
     space: &ScenarioSpace,
+    observed: &ObservedData,
     seed: u64,
+    index: u64,
+) -> Option<(u64, ScenarioSpace)> {
+    let refitted = refit(space.spec(), &resample(observed, seed, index)).ok()?;
+    Some((index, refitted))
+}
+
+/// Returns the data of a space, if enough resamples are requested and the space is as it was fitted.
+fn check_resampling(
+    space: &ScenarioSpace,
     resamples: u32,
-) -> Result<(Vec<(u64, ScenarioSpace)>, u32), ResamplingError> {
+) -> Result<&ObservedData, ResamplingError> {
     match resamples {
         0 => return Err(ResamplingError::NotRequested),
         1..MIN_RESAMPLES => {
@@ -123,38 +141,40 @@ fn refit_to_resamples(
         }
         _ => {}
     }
-    let observed = space
-        .spec()
-        .observed
-        .as_ref()
-        .ok_or(ResamplingError::NoData)?;
-    let what = match find_edit(space, observed) {
-        Ok(what) => what.map(|name| format!("`{name}`")),
-        Err(why) => Some(format!("the space ({why})")),
-    };
-    if let Some(what) = what {
-        return Err(ResamplingError::Edited { what });
+    let observed = space.spec().observed.as_ref();
+    let observed = observed.ok_or(ResamplingError::NoData)?;
+    match find_edit(space, observed) {
+        Ok(None) => Ok(observed),
+        Ok(Some(name)) => Err(ResamplingError::Edited {
+            what: format!("`{name}`"),
+        }),
+        Err(why) => Err(ResamplingError::Edited {
+            what: format!("the space ({why})"),
+        }),
     }
-    let again = |index: u64| {
-        Some((
-            index,
-            refit(space.spec(), &resample(observed, seed, index)).ok()?,
-        ))
-    };
+}
+
+fn refit_to_resamples(
+    space: &ScenarioSpace,
+    seed: u64,
+    resamples: u32,
+) -> Result<RefittedSpaces, ResamplingError> {
+    let observed = check_resampling(space, resamples)?;
     let mut spaces: Vec<(u64, ScenarioSpace)> = (0..u64::from(resamples))
         .into_par_iter()
-        .filter_map(again)
+        .filter_map(|index| refit_to_resample(space, observed, seed, index))
         .collect();
     let mut tried = resamples;
     while spaces.len() < resamples as usize && tried < 2 * resamples {
-        spaces.extend(again(u64::from(tried)));
+        spaces.extend(refit_to_resample(space, observed, seed, u64::from(tried)));
         tried += 1;
     }
     let fitted = spaces.len() as u32;
     if fitted < MIN_RESAMPLES {
         Err(ResamplingError::TooFewFits { fitted, tried })
     } else {
-        Ok((spaces, tried - fitted))
+        let unfit = tried - fitted;
+        Ok(RefittedSpaces { spaces, unfit })
     }
 }
 
@@ -170,13 +190,15 @@ pub fn count_on_resamples<E>(
     runs: u32,
     failures: &mut dyn FnMut(&ScenarioSpace, u64, u64) -> Result<u64, E>,
 ) -> Result<Result<Resamples, ResamplingError>, E> {
-    let (spaces, unfit) = match refit_to_resamples(space, seed, resamples) {
-        Ok(fitted) => fitted,
+    let refitted = match refit_to_resamples(space, seed, resamples) {
+        Ok(refitted) => refitted,
         Err(why) => return Ok(Err(why)),
     };
-    let (mut shares, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
+    let mut shares = Vec::new();
+    let mut bounds = [Vec::new(), Vec::new()];
+    let mut within = 0.0;
     let n = f64::from(runs);
-    for (index, space) in spaces {
+    for (index, space) in refitted.spaces {
         let failed = failures(
             &space,
             derived_seed(seed, DRAW_STREAM_OFFSET + index),
@@ -186,46 +208,44 @@ pub fn count_on_resamples<E>(
         within += share * (1.0 - share) / (n - 1.0).max(1.0);
         shares.push(share);
         let u: f64 = stream(seed, Purpose::Resampling, DRAW_STREAM_OFFSET + index).random();
-        // Jeffreys' posterior, with exact ends (Brown, Cai and DasGupta, Statistical Science 16, 2001).
-        let known = Beta::new(failed + 0.5, n - failed + 0.5);
-        let drawn = known.map_or(share, |known| {
-            known.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))
-        });
-        spread[0].push(if failed == 0.0 { 0.0 } else { drawn });
-        spread[1].push(if failed == n { 1.0 } else { drawn });
+        let [lower, upper] = posterior_bounds(failed, n, u);
+        bounds[0].push(lower);
+        bounds[1].push(upper);
     }
     Ok(Ok(Resamples::new(
         &shares,
-        spread,
+        bounds,
         within,
-        unfit,
+        refitted.unfit,
         Some(runs),
     )))
 }
 
-/// Estimates the probability in spaces that are fitted to resamples; `again` takes a space and a seed. The inner error
-/// is the reason why data uncertainty is unknown. Reweighting the failed runs of the fitted space would cost no
+/// Estimates the probability in spaces that are fitted to resamples; `estimate` takes a space and a seed. The inner
+/// error is the reason why data uncertainty is unknown. Reweighting the failed runs of the fitted space would cost no
 /// simulations, but was unusable: at a probability of 10⁻⁶ one run had all the weight, and other kinds of failures were
 /// not among the runs.
 ///
 /// # Errors
-/// Errors of `again`.
+/// Errors of `estimate`.
 pub(crate) fn estimate_on_resamples<E>(
     space: &ScenarioSpace,
     seed: u64,
     resamples: u32,
-    again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, E>,
+    estimate: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, E>,
 ) -> Result<Result<Resamples, ResamplingError>, E> {
-    let (spaces, unfit) = match refit_to_resamples(space, seed, resamples) {
-        Ok(fitted) => fitted,
+    let refitted = match refit_to_resamples(space, seed, resamples) {
+        Ok(refitted) => refitted,
         Err(why) => return Ok(Err(why)),
     };
-    let (mut found, mut spread, mut within) = (Vec::new(), [Vec::new(), Vec::new()], 0.0);
-    for (index, space) in spaces {
-        let estimate = again(&space, derived_seed(seed, DRAW_STREAM_OFFSET + index))?;
+    let mut probabilities = Vec::new();
+    let mut bounds = [Vec::new(), Vec::new()];
+    let mut within = 0.0;
+    for (index, space) in refitted.spaces {
+        let estimate = estimate(&space, derived_seed(seed, DRAW_STREAM_OFFSET + index))?;
         let probability = estimate.probability.unwrap_or(0.0);
         within += (probability * estimate.coefficient_of_variation.unwrap_or(0.0)).powi(2);
-        found.push(probability);
+        probabilities.push(probability);
         // Without a reached failure, the last reached level is the upper bound.
         let reached = estimate
             .levels
@@ -237,10 +257,29 @@ pub(crate) fn estimate_on_resamples<E>(
         } else {
             reached.fold(1.0, f64::min)
         };
-        spread[0].push(probability);
-        spread[1].push(at_most);
+        bounds[0].push(probability);
+        bounds[1].push(at_most);
     }
-    Ok(Ok(Resamples::new(&found, spread, within, unfit, None)))
+    Ok(Ok(Resamples::new(
+        &probabilities,
+        bounds,
+        within,
+        refitted.unfit,
+        None,
+    )))
+}
+
+/// Returns the quantile at `u` of Jeffreys' posterior of a probability, with exact ends (Brown, Cai and DasGupta,
+/// Statistical Science 16, 2001), once as a lower and once as an upper bound.
+fn posterior_bounds(failed: f64, runs: f64, u: f64) -> [f64; 2] {
+    let posterior = Beta::new(failed + 0.5, runs - failed + 0.5);
+    let sample = posterior.map_or(failed / runs, |posterior| {
+        posterior.inverse_cdf(u.clamp(1e-12, 1.0 - 1e-12))
+    });
+    [
+        if failed == 0.0 { 0.0 } else { sample },
+        if failed == runs { 1.0 } else { sample },
+    ]
 }
 
 fn sample_variance(values: &[f64]) -> f64 {

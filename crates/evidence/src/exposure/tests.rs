@@ -97,8 +97,8 @@ fn observe_traffic(
 fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     const AN_HOUR: f64 = 12.0;
     let truth = traffic();
-    let probability = failures(&truth, 1, 400_000).unwrap() as f64 / 400_000.0;
-    let mut held = [0; 2];
+    let true_probability = failures(&truth, 1, 400_000).unwrap() as f64 / 400_000.0;
+    let mut covered = [0; 2];
     for trial in 0..trials {
         let space = observe_traffic(
             &truth,
@@ -107,7 +107,7 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
             &mut stream(trial, Purpose::Search, 77),
         );
         let runs = 2000;
-        let known = FailureProbability::Counted {
+        let probability = FailureProbability::Counted {
             failures: failures(&space, trial, runs).unwrap(),
             unknown: 0,
             runs,
@@ -115,23 +115,23 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
         let resamples = count_on_resamples(&space, trial, 100, 200, &mut failures)
             .unwrap()
             .unwrap();
-        let rate = RatePerExposure::new(&space, known, Ok(&resamples)).unwrap();
+        let rate = RatePerExposure::new(&space, probability, Ok(&resamples)).unwrap();
         let holds = |figure: IntervalEstimate| {
-            u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * probability)))
+            u64::from((figure.lower..=figure.upper).contains(&(AN_HOUR * true_probability)))
         };
-        held[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
-        held[1] += holds(rate.fitted.per_hour);
+        covered[0] += holds(rate.with_data_uncertainty.unwrap().rates.per_hour);
+        covered[1] += holds(rate.fitted.per_hour);
     }
     println!(
-        "{hours} h, failures {probability:.4} an episode: {held:?} of {trials} intervals hold the rate per hour"
+        "{hours} h, failures {true_probability:.4} an episode: {covered:?} of {trials} intervals hold the rate per hour"
     );
-    held
+    covered
 }
 
 /// Both intervals are joint and conservative. If an interval holds with a probability of 95 %, fewer than 36 of 40 hold
 /// with a probability of 5 %.
 #[test]
-fn rates_per_hour_of_synthetic_traffic_are_held() {
+fn intervals_contain_the_true_rate_of_synthetic_traffic() {
     let [with_data, _] = coverage(40, 8.0);
     assert!(with_data >= 36, "{with_data}");
 }
@@ -159,21 +159,21 @@ fn space_with_exposure(undescribed_brakings: u64) -> ScenarioSpace {
 }
 
 #[test]
-fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_counting() {
+fn rates_need_exposure_and_data_uncertainty_needs_episodes() {
     let truth = traffic();
-    let known = FailureProbability::Counted {
+    let probability = FailureProbability::Counted {
         failures: 3,
         unknown: 0,
         runs: 1000,
     };
     let none = Err(&ResamplingError::NotRequested);
-    assert_eq!(RatePerExposure::new(&truth, known, none), None);
+    assert_eq!(RatePerExposure::new(&truth, probability, none), None);
     let space = space_with_exposure(0);
     assert_eq!(
         count_on_resamples(&space, 0, 79, 10, &mut failures).unwrap(),
         Err(ResamplingError::NoData)
     );
-    let rate = RatePerExposure::new(&space, known, none).unwrap();
+    let rate = RatePerExposure::new(&space, probability, none).unwrap();
     assert_eq!((rate.clusters, rate.with_data_uncertainty), (50, None));
     let FailureRates {
         per_episode,
@@ -188,15 +188,15 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
 }
 
 #[test]
-fn brakings_that_were_left_out_count_in_rates_per_hour() {
-    let known = FailureProbability::Counted {
+fn undescribed_brakings_count_in_rates_per_hour() {
+    let probability = FailureProbability::Counted {
         failures: 30,
         unknown: 0,
         runs: 1000,
     };
     let rate = |undescribed_brakings: u64| {
         let space = space_with_exposure(undescribed_brakings);
-        RatePerExposure::new(&space, known, Err(&ResamplingError::NotRequested)).unwrap()
+        RatePerExposure::new(&space, probability, Err(&ResamplingError::NotRequested)).unwrap()
     };
     let (all, half) = (rate(0), rate(50));
     assert_eq!(
@@ -207,17 +207,17 @@ fn brakings_that_were_left_out_count_in_rates_per_hour() {
         ),
         (0, 50, all.fitted.per_episode)
     );
-    let of = |figure: IntervalEstimate| [figure.estimate, figure.lower, figure.upper];
-    for (one, two) in [
+    let numbers = |figure: IntervalEstimate| [figure.estimate, figure.lower, figure.upper];
+    for (all_rates, half_rates) in [
         (all.fitted.per_hour, half.fitted.per_hour),
         (all.fitted.per_1000_km, half.fitted.per_1000_km),
     ] {
         assert!(
-            of(one)
+            numbers(all_rates)
                 .iter()
-                .zip(of(two))
-                .all(|(one, two)| (2.0 * one - two).abs() < 1e-12),
-            "{one:?} {two:?}"
+                .zip(numbers(half_rates))
+                .all(|(all_rates, half_rates)| (2.0 * all_rates - half_rates).abs() < 1e-12),
+            "{all_rates:?} {half_rates:?}"
         );
     }
 }
@@ -230,7 +230,9 @@ fn estimates_without_a_spread_still_bound_the_rate() {
         let (independent_failures, independent_runs) = independent;
         let estimate = RareEstimate {
             probability,
-            coefficient_of_variation: probability.filter(|found| *found > 0.0).map(|_| 0.0),
+            coefficient_of_variation: probability
+                .filter(|probability| *probability > 0.0)
+                .map(|_| 0.0),
             repetitions: vec![probability.unwrap_or(0.0); 5],
             evaluations: independent_runs,
             independent_runs,

@@ -1,8 +1,9 @@
 //! Base scenario of a fitted space, and its description.
 
 use super::episodes::EpisodeSample;
+use super::sizes::VehicleSizes;
 use super::space::median;
-use crumple_exchange::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
+use crumple_exchange::recording::{CAR_LENGTH_M, MAX_PLAUSIBLE_ACCEL_MPS2};
 use crumple_sim::control::{AebSettings, BuiltInController};
 use crumple_sim::scenario::{
     BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors,
@@ -16,22 +17,15 @@ const TAIL_S: f64 = 10.0;
 
 /// Returns the base scenario; the last of three or more vehicles has the baseline controller.
 pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec {
-    let values = |index: usize| {
-        sample
-            .observed
-            .parameters
-            .get(index)
-            .map_or(&[][..], |one| one.values.as_slice())
-    };
-    let (speed_mps, brake_mps2, final_share) =
-        (median(values(0)), median(values(1)), median(values(2)));
+    let [speed_mps, brake_mps2, final_share] =
+        [0, 1, 2].map(|feature| median(sample.observed_values(feature)));
     let lead = LeadProfile::BrakeToSpeed(BrakeToSpeed {
         onset_s: ONSET_S,
         rate_mps2: brake_mps2,
         final_speed_mps: final_share * speed_mps,
     });
     let last = sample.extraction.vehicles - 1;
-    let vehicle = |index: usize| {
+    let vehicles = (0..=last).map(|index| {
         let driver = match index {
             0 => Driver::Profile(lead.clone()),
             _ if index == last && last > 1 => {
@@ -39,26 +33,8 @@ pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec 
             }
             _ => Driver::UnderTest,
         };
-        // Far enough apart at any speed; gaps are parameters.
-        let position_m = 200.0 * (last - index) as f64;
-        let length_m = sample
-            .sizes
-            .get(index)
-            .map_or(crumple_exchange::recording::CAR_LENGTH_M, |sizes| {
-                sizes.typical_m()
-            });
-        let mut vehicle = VehicleSpec::new(
-            VehicleClass::from_length(length_m),
-            position_m,
-            speed_mps,
-            driver,
-        );
-        vehicle.length_m = Some(length_m);
-        if index == 0 {
-            vehicle.max_brake_mps2 = Some(MAX_PLAUSIBLE_ACCEL_MPS2);
-        }
-        vehicle
-    };
+        base_vehicle(sample, index, speed_mps, driver)
+    });
     ScenarioSpec {
         version: SCENARIO_VERSION,
         name: name.to_owned(),
@@ -68,29 +44,49 @@ pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec 
         seed: 0,
         environment: Environment::default(),
         sensors: Sensors::default(),
-        vehicles: (0..=last).map(vehicle).collect(),
+        vehicles: vehicles.collect(),
     }
+}
+
+fn base_vehicle(
+    sample: &EpisodeSample,
+    index: usize,
+    speed_mps: f64,
+    driver: Driver,
+) -> VehicleSpec {
+    // Far enough apart at any speed; gaps are parameters.
+    let position_m = 200.0 * (sample.extraction.vehicles - 1 - index) as f64;
+    let sizes = sample.sizes.get(index);
+    let length_m = sizes.map_or(CAR_LENGTH_M, VehicleSizes::typical_m);
+    let mut vehicle = VehicleSpec::new(
+        VehicleClass::from_length(length_m),
+        position_m,
+        speed_mps,
+        driver,
+    );
+    vehicle.length_m = Some(length_m);
+    if index == 0 {
+        vehicle.max_brake_mps2 = Some(MAX_PLAUSIBLE_ACCEL_MPS2);
+    }
+    vehicle
 }
 
 /// Returns the longest braking of the space, in seconds: from the highest speed, with the lowest deceleration and the
 /// largest speed loss. No sample and no resample brakes longer.
 fn longest_braking_s(sample: &EpisodeSample) -> f64 {
-    let end = |index: usize, which: usize| {
-        sample
-            .features
-            .get(index)
-            .map_or(0.0, |number| number.range[which])
-    };
-    let (fastest_mps, softest_mps2, final_share) = (end(0, 1), end(1, 0), end(2, 0));
-    fastest_mps * (1.0 - final_share) / softest_mps2
+    let [speed_mps, brake_mps2, final_share] = [0, 1, 2].map(|index| {
+        let feature = sample.features.get(index);
+        feature.map_or([0.0, 0.0], |feature| feature.range)
+    });
+    speed_mps[1] * (1.0 - final_share[0]) / brake_mps2[0]
 }
 
 pub(super) fn describe_space(sample: &EpisodeSample) -> String {
     let EpisodeSample {
-        extraction: taken,
+        extraction,
         observed,
         exposure,
-        exclusions: left_out,
+        exclusions,
         sizes,
         ..
     } = sample;
@@ -104,15 +100,16 @@ pub(super) fn describe_space(sample: &EpisodeSample) -> String {
          from {} m/s² on. The leader brakes at its hardest second's deceleration down to its lowest speed; a scenario \
          lasts until the slowest braking of the space is over, and {TAIL_S} s more.",
         exposure.episodes,
-        taken.vehicles,
+        extraction.vehicles,
         exposure.hours,
         exposure.kilometres,
-        taken.min_brake.mps2(),
+        extraction.min_brake.mps2(),
     );
-    for text in left_out
-        .sentences(taken.vehicles)
+    let size_sentences = sizes.iter().enumerate();
+    for text in exclusions
+        .sentences(extraction.vehicles)
         .into_iter()
-        .chain(sizes.iter().enumerate().map(|(at, one)| one.sentence(at)))
+        .chain(size_sentences.map(|(index, sizes)| sizes.sentence(index)))
     {
         about += &format!(" {text}.");
     }

@@ -1,5 +1,7 @@
 //! Dependence of the features of episodes: correlations of a Gaussian copula.
 
+use std::cmp::Ordering;
+
 use nalgebra::DMatrix;
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -23,41 +25,41 @@ pub(super) struct CopulaColumn<'a> {
 /// 47, 1982). A term ln (1 − ρ²) keeps few values from giving ρ = ±1.
 pub(super) fn estimate_correlation(columns: &[CopulaColumn<'_>]) -> Vec<Vec<f64>> {
     let latent: Vec<LatentColumn> = columns.iter().map(LatentColumn::new).collect();
-    let entry = |row: usize, column: usize| {
-        if row == column {
-            return 1.0;
-        }
-        latent[row.min(column)].correlation(&latent[row.max(column)])
-    };
-    let found = (0..latent.len())
-        .map(|row| (0..latent.len()).map(|column| entry(row, column)).collect())
-        .collect();
-    if latent.iter().any(|one| one.has_points) {
-        shrink_to_positive_definite(found)
+    let rows = latent.iter().enumerate().map(|(row, a)| {
+        let entries = latent.iter().enumerate();
+        entries
+            .map(|(column, b)| match row.cmp(&column) {
+                Ordering::Less => a.correlation(b),
+                Ordering::Equal => 1.0,
+                Ordering::Greater => b.correlation(a),
+            })
+            .collect()
+    });
+    let correlation = rows.collect();
+    if latent.iter().any(|column| column.has_points) {
+        shrink_to_positive_definite(correlation)
     } else {
-        found
+        correlation
     }
 }
 
 /// Shrinks a matrix towards independence until its eigenvalues are at least [`MIN_EIGENVALUE`].
-pub(super) fn shrink_to_positive_definite(entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    let least = DMatrix::from_fn(entries.len(), entries.len(), |row, column| {
+pub(super) fn shrink_to_positive_definite(mut entries: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+    let matrix = DMatrix::from_fn(entries.len(), entries.len(), |row, column| {
         entries[row][column]
     });
-    let least = least.symmetric_eigenvalues().min();
-    if least >= MIN_EIGENVALUE {
+    let min_eigenvalue = matrix.symmetric_eigenvalues().min();
+    if min_eigenvalue >= MIN_EIGENVALUE {
         return entries;
     }
     // (1 − s) R + s I moves the eigenvalues of R towards 1.
-    let kept = 1.0 - (MIN_EIGENVALUE - least) / (1.0 - least);
-    let drawn = |(row, entries): (usize, Vec<f64>)| {
-        entries
-            .into_iter()
-            .enumerate()
-            .map(|(column, entry)| if row == column { 1.0 } else { kept * entry })
-            .collect()
-    };
-    entries.into_iter().enumerate().map(drawn).collect()
+    let factor = 1.0 - (MIN_EIGENVALUE - min_eigenvalue) / (1.0 - min_eigenvalue);
+    for (row, entries) in entries.iter_mut().enumerate() {
+        for (column, entry) in entries.iter_mut().enumerate() {
+            *entry = if row == column { 1.0 } else { factor * *entry };
+        }
+    }
+    entries
 }
 
 /// Normal number of a value, or its bounds.
@@ -75,73 +77,110 @@ struct LatentColumn {
 
 impl LatentColumn {
     fn new(column: &CopulaColumn<'_>) -> Self {
-        let CopulaColumn {
-            values,
-            distribution,
-        } = *column;
-        let is_point = |value: f64| match distribution {
-            DistributionSpec::Choice(_) => true,
-            DistributionSpec::PointMass(point) => value == point.at,
-            _ => false,
-        };
-        let place = |value: f64| match distribution {
-            DistributionSpec::Choice(choice) => choice
-                .values
-                .iter()
-                .position(|known| *known == ParameterValue::Number(value))
-                .map_or(f64::NAN, |at| at as f64),
-            _ => value,
-        };
-        let values: Vec<f64> = values.iter().map(|&value| place(value)).collect();
-        let n = values.len();
-        let score = |rank: f64| Normal::standard().inverse_cdf(rank / (n as f64 + 1.0));
-        // Scores of few values have a variance below 1.
-        let spread =
-            ((1..=n).map(|rank| score(rank as f64).powi(2)).sum::<f64>() / n.max(1) as f64).sqrt();
-        let mut order: Vec<usize> = (0..n).collect();
+        let values: Vec<f64> = column
+            .values
+            .iter()
+            .map(|&value| column.sort_key(value))
+            .collect();
+        let ranks = NormalScores::new(values.len());
+        let mut order: Vec<usize> = (0..values.len()).collect();
         order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
-        let (mut scores, mut known) = (vec![0.0; n], vec![LatentNormal::Exact(0.0); n]);
+        let mut scores = vec![0.0; values.len()];
+        let mut latent = vec![LatentNormal::Exact(0.0); values.len()];
+        let mut has_points = false;
         let mut before = 0;
         for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
             let until = before + equal.len();
-            let middle = score(0.5 * ((before + 1) as f64 + until as f64));
-            // Half-way between ranks; unbounded before the first and after the last.
-            let end = |rank: usize| match rank {
-                0 => f64::NEG_INFINITY,
-                rank if rank == n => f64::INFINITY,
-                rank => score(rank as f64 + 0.5) / spread,
-            };
+            let mean_score = ranks.score(0.5 * ((before + 1) as f64 + until as f64));
             let is_point = equal
                 .first()
-                .is_some_and(|&index| is_point(column.values[index]));
-            let latent = if is_point {
-                LatentNormal::Interval(end(before), end(until))
+                .is_some_and(|&index| column.is_point(column.values[index]));
+            let latent_normal = if is_point {
+                LatentNormal::Interval(ranks.end(before), ranks.end(until))
             } else {
-                LatentNormal::Exact(middle / spread)
+                LatentNormal::Exact(mean_score / ranks.spread)
             };
-            equal
-                .iter()
-                .for_each(|&index| (scores[index], known[index]) = (middle, latent));
+            has_points |= is_point;
+            for &index in equal {
+                scores[index] = mean_score;
+                latent[index] = latent_normal;
+            }
             before = until;
         }
-        let has_points = known
-            .iter()
-            .any(|latent| matches!(latent, LatentNormal::Interval(..)));
         Self {
             scores,
-            latent: known,
+            latent,
             has_points,
         }
     }
 
-    fn correlation(&self, other: &Self) -> f64 {
-        if !(self.has_points || other.has_points) {
-            let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-            let (a, b) = (&self.scores, &other.scores);
-            return (product(a, b) / (product(a, a) * product(b, b)).sqrt()).clamp(-1.0, 1.0);
+    fn correlation(&self, column: &Self) -> f64 {
+        if !(self.has_points || column.has_points) {
+            let a = &self.scores;
+            let b = &column.scores;
+            let lengths = (dot(a, a) * dot(b, b)).sqrt();
+            return (dot(a, b) / lengths).clamp(-1.0, 1.0);
         }
-        let pairs = LatentPairs::new(self, other);
+        let pairs = LatentPairs::new(self, column);
         maximize_over_correlation(&|rho| pairs.ln_likelihood(rho))
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>()
+}
+
+impl CopulaColumn<'_> {
+    /// True if the value has a probability of its own.
+    fn is_point(&self, value: f64) -> bool {
+        match self.distribution {
+            DistributionSpec::Choice(_) => true,
+            DistributionSpec::PointMass(point) => value == point.at,
+            _ => false,
+        }
+    }
+
+    /// Returns the value, or its index among the choices of the distribution.
+    fn sort_key(&self, value: f64) -> f64 {
+        match self.distribution {
+            DistributionSpec::Choice(choice) => choice
+                .values
+                .iter()
+                .position(|choice| *choice == ParameterValue::Number(value))
+                .map_or(f64::NAN, |index| index as f64),
+            _ => value,
+        }
+    }
+}
+
+/// Normal scores of ranks.
+struct NormalScores {
+    count: usize,
+    /// Standard deviation of the scores: below 1 for few values.
+    spread: f64,
+}
+
+impl NormalScores {
+    fn new(count: usize) -> Self {
+        let unscaled = Self { count, spread: 1.0 };
+        let squares = (1..=count).map(|rank| unscaled.score(rank as f64).powi(2));
+        Self {
+            count,
+            spread: (squares.sum::<f64>() / count.max(1) as f64).sqrt(),
+        }
+    }
+
+    fn score(&self, rank: f64) -> f64 {
+        Normal::standard().inverse_cdf(rank / (self.count as f64 + 1.0))
+    }
+
+    /// Returns the scaled score half-way after a rank; unbounded before the first and after the last.
+    fn end(&self, rank: usize) -> f64 {
+        match rank {
+            0 => f64::NEG_INFINITY,
+            rank if rank == self.count => f64::INFINITY,
+            rank => self.score(rank as f64 + 0.5) / self.spread,
+        }
     }
 }
 
@@ -170,13 +209,14 @@ impl LatentPairs {
                     pairs.half_exact.push((*x, [*low, *high]));
                 }
                 (LatentNormal::Interval(low_x, high_x), LatentNormal::Interval(low_y, high_y)) => {
-                    let (x, y) = ([*low_x, *high_x], [*low_y, *high_y]);
+                    let x = [*low_x, *high_x];
+                    let y = [*low_y, *high_y];
                     match pairs
                         .rectangles
                         .iter_mut()
-                        .find(|known| (known.0, known.1) == (x, y))
+                        .find(|rectangle| (rectangle.0, rectangle.1) == (x, y))
                     {
-                        Some(known) => known.2 += 1.0,
+                        Some(rectangle) => rectangle.2 += 1.0,
                         None => pairs.rectangles.push((x, y, 1.0)),
                     }
                 }
@@ -191,28 +231,32 @@ impl LatentPairs {
         let [count, squares, products] = self.exact_sums;
         let exact = -0.5 * count * rest.ln() - (squares - 2.0 * rho * products) / (2.0 * rest)
             + 0.5 * squares;
-        let cdf = |x: f64| Normal::standard().cdf(x);
-        let given = |x: f64, end: f64| {
-            if end.is_finite() {
-                cdf((end - rho * x) / rest.sqrt())
-            } else {
-                cdf(end)
-            }
-        };
-        let half = |(x, [low, high]): &(f64, [f64; 2])| {
-            (given(*x, *high) - given(*x, *low)).max(1e-300).ln()
-        };
-        let rectangle = |([left, right], [low, high], count): &([f64; 2], [f64; 2], f64)| {
-            let below = |x: f64, y: f64| bivariate_normal_cdf(x, y, rho);
-            let inside = below(*right, *high) - below(*left, *high) - below(*right, *low)
-                + below(*left, *low);
-            count * inside.max(1e-300).ln()
-        };
-        exact
-            + self.half_exact.iter().map(half).sum::<f64>()
-            + self.rectangles.iter().map(rectangle).sum::<f64>()
-            + rest.ln()
+        let half_exact = self.half_exact.iter().map(|(x, [low, high])| {
+            let inside = conditional_cdf(*high, *x, rho) - conditional_cdf(*low, *x, rho);
+            inside.max(1e-300).ln()
+        });
+        let rectangles = self
+            .rectangles
+            .iter()
+            .map(|([left, right], [low, high], count)| {
+                let inside = bivariate_normal_cdf(*right, *high, rho)
+                    - bivariate_normal_cdf(*left, *high, rho)
+                    - bivariate_normal_cdf(*right, *low, rho)
+                    + bivariate_normal_cdf(*left, *low, rho);
+                count * inside.max(1e-300).ln()
+            });
+        exact + half_exact.sum::<f64>() + rectangles.sum::<f64>() + rest.ln()
     }
+}
+
+/// Returns the probability that a normal number is below `end` if a correlated one is `x`.
+fn conditional_cdf(end: f64, x: f64, rho: f64) -> f64 {
+    let score = if end.is_finite() {
+        (end - rho * x) / (1.0 - rho * rho).sqrt()
+    } else {
+        end
+    };
+    Normal::standard().cdf(score)
 }
 
 /// Returns the probability that two correlated normal numbers are below `x` and `y`: Φ(x) Φ(y) + ∫ φ₂(x, y; r) dr from
@@ -223,45 +267,47 @@ fn bivariate_normal_cdf(x: f64, y: f64, rho: f64) -> f64 {
     if !(x.is_finite() && y.is_finite()) {
         return apart;
     }
-    let height = |theta: f64| {
-        (-(x * x + y * y - 2.0 * x * y * theta.sin()) / (2.0 * theta.cos().powi(2))).exp()
-    };
     let step = rho.asin() / PARTS as f64;
-    let weight = |part: usize| {
-        if part == 0 || part == PARTS {
-            1.0
-        } else {
-            2.0 + 2.0 * (part % 2) as f64
-        }
-    };
     let sum: f64 = (0..=PARTS)
-        .map(|part| weight(part) * height(part as f64 * step))
+        .map(|part| {
+            let theta = part as f64 * step;
+            let height =
+                (-(x * x + y * y - 2.0 * x * y * theta.sin()) / (2.0 * theta.cos().powi(2))).exp();
+            let weight = if part == 0 || part == PARTS {
+                1.0
+            } else {
+                2.0 + 2.0 * (part % 2) as f64
+            };
+            weight * height
+        })
         .sum();
     apart + sum * step / 3.0 / (2.0 * std::f64::consts::PI)
 }
 
 /// Maximises a function of a correlation: a coarse grid, then golden section search.
-fn maximize_over_correlation(of: &dyn Fn(f64) -> f64) -> f64 {
+fn maximize_over_correlation(function: &dyn Fn(f64) -> f64) -> f64 {
     const GRID: i32 = 20;
     const STEPS: usize = 40;
-    let at = |index: i32| MAX_CORRELATION * f64::from(index) / f64::from(GRID);
+    let grid_point = |index: i32| MAX_CORRELATION * f64::from(index) / f64::from(GRID);
     let best = (-GRID..=GRID)
-        .max_by(|&a, &b| of(at(a)).total_cmp(&of(at(b))))
+        .max_by(|&a, &b| function(grid_point(a)).total_cmp(&function(grid_point(b))))
         .unwrap_or(0);
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
-    let (mut low, mut high) = (at((best - 1).max(-GRID)), at((best + 1).min(GRID)));
-    let inner = |low: f64, high: f64| (high - golden * (high - low), low + golden * (high - low));
-    let (mut a, mut b) = inner(low, high);
-    let (mut of_a, mut of_b) = (of(a), of(b));
+    let mut low = grid_point((best - 1).max(-GRID));
+    let mut high = grid_point((best + 1).min(GRID));
+    let mut a = high - golden * (high - low);
+    let mut b = low + golden * (high - low);
+    let mut value_at_a = function(a);
+    let mut value_at_b = function(b);
     for _ in 0..STEPS {
-        if of_a >= of_b {
-            (high, b, of_b) = (b, a, of_a);
-            a = inner(low, high).0;
-            of_a = of(a);
+        if value_at_a >= value_at_b {
+            (high, b, value_at_b) = (b, a, value_at_a);
+            a = high - golden * (high - low);
+            value_at_a = function(a);
         } else {
-            (low, a, of_a) = (a, b, of_b);
-            b = inner(low, high).1;
-            of_b = of(b);
+            (low, a, value_at_a) = (a, b, value_at_b);
+            b = low + golden * (high - low);
+            value_at_b = function(b);
         }
     }
     0.5 * (low + high)
@@ -272,11 +318,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn probabilities_of_rectangles_are_known() {
+    fn bivariate_normal_probabilities_match_closed_forms() {
         for rho in [-0.95_f64, -0.4, 0.0, 0.3, 0.9] {
-            let known = 0.25 + rho.asin() / (2.0 * std::f64::consts::PI);
+            let expected = 0.25 + rho.asin() / (2.0 * std::f64::consts::PI);
             assert!(
-                (bivariate_normal_cdf(0.0, 0.0, rho) - known).abs() < 1e-9,
+                (bivariate_normal_cdf(0.0, 0.0, rho) - expected).abs() < 1e-9,
                 "{rho}"
             );
             assert!(

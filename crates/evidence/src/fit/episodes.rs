@@ -60,51 +60,71 @@ impl EpisodeFeature {
             choices: None,
         }
     }
+
+    fn is_in_range(&self, value: f64) -> bool {
+        (self.range[0]..=self.range[1]).contains(&value)
+    }
+
+    fn with_values(&self, values: Vec<f64>) -> ObservedParameter {
+        ObservedParameter {
+            name: self.name.clone(),
+            low: self.range[0],
+            high: self.range[1],
+            point_mass: self.point_mass.filter(|point| values.contains(point)),
+            values,
+        }
+    }
 }
 
 /// Returns the features of an episode in the order of [`EpisodeSample`], which appends vehicle sizes.
 #[must_use]
-pub(crate) fn features(taken: &ExtractionConfig) -> Vec<EpisodeFeature> {
-    let number = EpisodeFeature::new;
-    let mut all = vec![
-        number(
+pub(crate) fn features(extraction: &ExtractionConfig) -> Vec<EpisodeFeature> {
+    let leader = leader_features(extraction.min_brake);
+    let followers = (1..extraction.vehicles).flat_map(follower_features);
+    leader.into_iter().chain(followers).collect()
+}
+
+fn leader_features(min_brake: MinBrake) -> [EpisodeFeature; 3] {
+    [
+        EpisodeFeature::new(
             "lead_speed_mps",
             "vehicles[*].speed_mps",
             "m/s",
             [1.0, 50.0],
         ),
-        number(
+        EpisodeFeature::new(
             "lead_brake_mps2",
             "vehicles[0].driver.brake-to-speed.rate_mps2",
             "m/s²",
-            [taken.min_brake.mps2(), MAX_PLAUSIBLE_ACCEL_MPS2],
+            [min_brake.mps2(), MAX_PLAUSIBLE_ACCEL_MPS2],
         ),
         EpisodeFeature {
             point_mass: Some(0.0),
-            ..number(
+            ..EpisodeFeature::new(
                 "lead_final_share",
                 "vehicles[0].driver.brake-to-speed.final_share",
                 "1",
                 [0.0, 0.98],
             )
         },
-    ];
-    for follower in 1..taken.vehicles {
-        let of = |field: &str| format!("vehicles[{follower}].{field}");
-        all.push(number(
+    ]
+}
+
+fn follower_features(follower: usize) -> [EpisodeFeature; 2] {
+    [
+        EpisodeFeature::new(
             &format!("speed_share_{follower}"),
-            &of("speed_share"),
+            &format!("vehicles[{follower}].speed_share"),
             "1",
             [0.2, 2.0],
-        ));
-        all.push(number(
+        ),
+        EpisodeFeature::new(
             &format!("time_gap_{follower}_s"),
-            &of("time_gap_s"),
+            &format!("vehicles[{follower}].time_gap_s"),
             "s",
             [0.1, 20.0],
-        ));
-    }
-    all
+        ),
+    ]
 }
 
 /// Returns the features of an episode without its rear vehicles; `None` with fewer vehicles.
@@ -141,8 +161,8 @@ fn lowest_mps(episode: &BrakingEpisode) -> f64 {
 }
 
 #[must_use]
-pub(crate) fn min_episodes(numbers: usize) -> usize {
-    EPISODES_PER_FEATURE * numbers
+pub(crate) fn min_episodes(features: usize) -> usize {
+    EPISODES_PER_FEATURE * features
 }
 
 /// Features of episodes, with the exposure of the recordings.
@@ -172,13 +192,21 @@ impl EpisodeSample {
     /// [`FitError::MinBrake`].
     pub fn from_recordings(
         recordings: &[Recording],
-        taken: ExtractionConfig,
+        extraction: ExtractionConfig,
     ) -> Result<Self, FitError> {
-        let mut collector = EpisodeCollector::new(taken)?;
+        let mut collector = EpisodeCollector::new(extraction)?;
         recordings
             .iter()
             .try_for_each(|recording| collector.add(recording))?;
         collector.finish()
+    }
+
+    /// Returns the values of a feature; none if there is no such feature.
+    pub(super) fn observed_values(&self, feature: usize) -> &[f64] {
+        self.observed
+            .parameters
+            .get(feature)
+            .map_or(&[], |parameter| parameter.values.as_slice())
     }
 }
 
@@ -204,29 +232,30 @@ impl EpisodeCollector {
     ///
     /// # Errors
     /// [`FitError::Vehicles`] and [`FitError::MinBrake`].
-    pub fn new(taken: ExtractionConfig) -> Result<Self, FitError> {
-        let (vehicles, found) = (taken.vehicles, taken.min_brake.mps2());
+    pub fn new(extraction: ExtractionConfig) -> Result<Self, FitError> {
+        let vehicles = extraction.vehicles;
+        let min_brake_mps2 = extraction.min_brake.mps2();
         if !(2..=MAX_VEHICLES).contains(&vehicles) {
             return Err(FitError::Vehicles { found: vehicles });
         }
-        if found >= MAX_PLAUSIBLE_ACCEL_MPS2 {
+        if min_brake_mps2 >= MAX_PLAUSIBLE_ACCEL_MPS2 {
             return Err(FitError::MinBrake {
-                found,
+                found: min_brake_mps2,
                 limit: MAX_PLAUSIBLE_ACCEL_MPS2,
             });
         }
-        let numbers = features(&taken);
+        let features = features(&extraction);
         Ok(Self {
-            extraction: taken,
+            extraction,
             clusters: Vec::new(),
-            columns: vec![Vec::new(); numbers.len()],
-            lengths: vec![Vec::new(); taken.vehicles],
+            columns: vec![Vec::new(); features.len()],
+            lengths: vec![Vec::new(); vehicles],
             sources: Vec::new(),
             hardest: Vec::new(),
             last_path: None,
             exclusions: ExclusionCounts::default(),
-            out_of_range: vec![0; numbers.len()],
-            features: numbers,
+            out_of_range: vec![0; features.len()],
+            features,
         })
     }
 
@@ -234,103 +263,99 @@ impl EpisodeCollector {
     ///
     /// # Errors
     /// [`FitError::TooFew`] or [`FitError::TooMany`] for the number of episodes.
-    pub fn finish(self) -> Result<EpisodeSample, FitError> {
-        let EpisodeCollector {
-            mut features,
-            clusters,
-            mut columns,
-            lengths,
-            sources,
-            hardest,
-            exclusions,
-            out_of_range,
-            ..
-        } = self;
-        let taken = self.extraction;
-        let most_out_of_range = features
-            .iter()
-            .zip(&out_of_range)
-            .max_by_key(|(_, count)| **count)
-            .filter(|(_, count)| **count > 0);
-        let most_out_of_range = most_out_of_range.map(|(feature, _)| feature.name.clone());
-        let sizes: Vec<VehicleSizes> = lengths
-            .iter()
-            .map(|lengths| VehicleSizes::new(lengths))
-            .collect();
-        for (index, (sizes, lengths)) in sizes.iter().zip(&lengths).enumerate() {
-            if let Some(feature) = sizes.feature(index) {
-                features.push(feature);
-                columns.push(sizes.scenario_lengths_m(lengths));
-            }
+    pub fn finish(mut self) -> Result<EpisodeSample, FitError> {
+        let most_out_of_range = self.most_out_of_range();
+        let sizes = self.append_sizes();
+        let episodes = self.clusters.len();
+        let needed = min_episodes(self.features.len());
+        if episodes < needed {
+            return Err(self.too_few_episodes_error(needed, most_out_of_range));
         }
-        let (found, needed) = (clusters.len(), min_episodes(features.len()));
-        if found < needed {
-            let mut most = most_out_of_range
-                .map(|name| format!(", most of them {name}"))
-                .unwrap_or_default();
-            if exclusions.impossible_speeds + exclusions.no_follower > 0 {
-                let ExclusionCounts {
-                    no_follower,
-                    impossible_speeds,
-                    ..
-                } = exclusions;
-                most += &format!(
-                    ", {no_follower} have no known follower, {impossible_speeds} have impossible speeds"
-                );
-            }
-            // A recording in which no braking is detectable looks like one without braking.
-            let mut evaluated = sources
-                .iter()
-                .zip(hardest.into_iter().map(HardestSearch::finish));
-            if let Some((source, why)) =
-                evaluated.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
-            {
-                most += &format!("; {}: {why}", source.name);
-            }
-            return Err(FitError::TooFew {
-                found,
-                needed,
-                vehicles: taken.vehicles,
-                too_few_vehicles: exclusions.too_few_vehicles,
-                out_of_range: exclusions.out_of_range,
-                details: most,
-            });
-        }
-        if found > MAX_EPISODES {
-            return Err(FitError::TooMany {
-                found,
-                max: MAX_EPISODES,
-                what: "episodes",
-            });
-        }
-        let parameter = |(feature, values): (&EpisodeFeature, Vec<f64>)| ObservedParameter {
-            name: feature.name.clone(),
-            low: feature.range[0],
-            high: feature.range[1],
-            point_mass: feature.point_mass.filter(|point| values.contains(point)),
-            values,
-        };
+        check_episode_count(episodes)?;
+        let sources = &self.sources;
         let exposure = DrivingExposure {
-            episodes: found as u64,
+            episodes: episodes as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
-            undescribed_brakings: exclusions.count_in_exposure() as u64,
-            sources,
+            undescribed_brakings: self.exclusions.count_in_exposure() as u64,
+            sources: self.sources,
         };
+        let columns = self.features.iter().zip(self.columns);
         let observed = ObservedData {
-            braking_clusters: renumber_clusters(&clusters),
+            braking_clusters: renumber_clusters(&self.clusters),
             search_share: Some(SEARCH_SHARE),
-            parameters: features.iter().zip(columns).map(parameter).collect(),
+            parameters: columns
+                .map(|(feature, values)| feature.with_values(values))
+                .collect(),
         };
         Ok(EpisodeSample {
-            extraction: taken,
-            features,
+            extraction: self.extraction,
+            features: self.features,
             observed,
             exposure,
             sizes,
-            exclusions,
+            exclusions: self.exclusions,
             most_out_of_range,
         })
+    }
+
+    /// Returns the feature that was most often the first outside its range.
+    fn most_out_of_range(&self) -> Option<String> {
+        self.features
+            .iter()
+            .zip(&self.out_of_range)
+            .max_by_key(|(_, count)| **count)
+            .filter(|(_, count)| **count > 0)
+            .map(|(feature, _)| feature.name.clone())
+    }
+
+    /// Appends the features of the vehicles' sizes, and returns the sizes.
+    fn append_sizes(&mut self) -> Vec<VehicleSizes> {
+        let mut all_sizes = Vec::new();
+        for (index, lengths) in self.lengths.iter().enumerate() {
+            let sizes = VehicleSizes::new(lengths);
+            if let Some(feature) = sizes.feature(index) {
+                self.features.push(feature);
+                self.columns.push(sizes.scenario_lengths_m(lengths));
+            }
+            all_sizes.push(sizes);
+        }
+        all_sizes
+    }
+
+    fn too_few_episodes_error(self, needed: usize, most_out_of_range: Option<String>) -> FitError {
+        let ExclusionCounts {
+            no_follower,
+            impossible_speeds,
+            too_few_vehicles,
+            out_of_range,
+        } = self.exclusions;
+        let mut details = most_out_of_range
+            .map(|name| format!(", most of them {name}"))
+            .unwrap_or_default();
+        if impossible_speeds + no_follower > 0 {
+            details += &format!(
+                ", {no_follower} have no known follower, {impossible_speeds} have impossible speeds"
+            );
+        }
+        // A recording in which no braking is detectable looks like one without braking.
+        let mut hardest = self
+            .sources
+            .iter()
+            .zip(self.hardest.into_iter().map(HardestSearch::finish));
+        if let Some((source, why)) =
+            hardest.find(|(_, result)| !matches!(result, HardestBrakingResult::Braking(_)))
+        {
+            details += &format!("; {}: {why}", source.name);
+        }
+        FitError::TooFew {
+            found: self.clusters.len(),
+            needed,
+            vehicles: self.extraction.vehicles,
+            too_few_vehicles,
+            out_of_range,
+            details,
+        }
     }
 
     /// Adds a recording, or its next part.
@@ -343,92 +368,105 @@ impl EpisodeCollector {
             min_brake,
             leaders,
         } = self.extraction;
-        let found = find_episodes(recording, min_brake, leaders);
-        if found.episodes.len() > MAX_EPISODES {
+        let extracted = find_episodes(recording, min_brake, leaders);
+        check_episode_count(extracted.episodes.len())?;
+        let episodes_before = self.clusters.len();
+        let undescribed_before = self.exclusions.count_in_exposure();
+        let first_cluster = self.clusters.iter().max().map_or(0, |last| last + 1);
+        for dropped in &extracted.dropped {
+            self.exclusions.add(dropped);
+        }
+        let clusters = braking_clusters(&extracted.episodes);
+        for (episode, cluster) in extracted.episodes.iter().zip(clusters) {
+            self.add_episode(episode, first_cluster + cluster);
+        }
+        let exposure = following_exposure(recording, leaders, vehicles - 1);
+        self.add_exposure(
+            recording,
+            SourceExposure {
+                name: source_name(recording),
+                episodes: (self.clusters.len() - episodes_before) as u64,
+                hours: exposure.hours,
+                kilometres: exposure.kilometres,
+                undescribed_brakings: (self.exclusions.count_in_exposure() - undescribed_before)
+                    as u64,
+            },
+        )?;
+        if let Some(search) = self.hardest.last_mut() {
+            search.add(recording);
+        }
+        Ok(())
+    }
+
+    /// Adds an episode, or counts the reason why it is excluded.
+    fn add_episode(&mut self, episode: &BrakingEpisode, cluster: u32) {
+        let Some(values) = feature_values(episode, self.extraction.vehicles) else {
+            self.exclusions.too_few_vehicles += 1;
+            return;
+        };
+        let mut features = self.features.iter().zip(&values);
+        if let Some(index) = features.position(|(feature, value)| !feature.is_in_range(*value)) {
+            self.exclusions.out_of_range += 1;
+            self.out_of_range[index] += 1;
+            return;
+        }
+        self.clusters.push(cluster);
+        for (column, value) in self.columns.iter_mut().zip(values) {
+            column.push(value);
+        }
+        for (lengths, vehicle) in self.lengths.iter_mut().zip(&episode.vehicles) {
+            lengths.push(vehicle.length_m);
+        }
+    }
+
+    /// Adds the exposure of a recording, or of the next part of the last one.
+    fn add_exposure(
+        &mut self,
+        recording: &Recording,
+        exposure: SourceExposure,
+    ) -> Result<(), FitError> {
+        if self.last_path.as_ref() == Some(&recording.path)
+            && let Some(source) = self.sources.last_mut()
+        {
+            source.episodes += exposure.episodes;
+            source.hours += exposure.hours;
+            source.kilometres += exposure.kilometres;
+            source.undescribed_brakings += exposure.undescribed_brakings;
+            return Ok(());
+        }
+        if self.sources.len() >= MAX_RECORDINGS {
             return Err(FitError::TooMany {
-                found: found.episodes.len(),
-                max: MAX_EPISODES,
-                what: "episodes",
+                found: self.sources.len() + 1,
+                max: MAX_RECORDINGS,
+                what: "recordings",
             });
         }
-        let (before, left_out) = (self.clusters.len(), self.exclusions.count_in_exposure());
-        let first_wave = self.clusters.iter().max().map_or(0, |last| last + 1);
-        found
-            .dropped
-            .iter()
-            .for_each(|dropped| self.exclusions.add(dropped));
-        for (episode, cluster) in found.episodes.iter().zip(braking_clusters(&found.episodes)) {
-            let Some(values) = feature_values(episode, vehicles) else {
-                self.exclusions.too_few_vehicles += 1;
-                continue;
-            };
-            let is_outside = |(number, value): (&EpisodeFeature, &f64)| {
-                !(number.range[0]..=number.range[1]).contains(value)
-            };
-            if let Some(which) = self.features.iter().zip(&values).position(is_outside) {
-                self.exclusions.out_of_range += 1;
-                self.out_of_range[which] += 1;
-                continue;
-            }
-            self.clusters.push(first_wave + cluster);
-            self.columns
-                .iter_mut()
-                .zip(values)
-                .for_each(|(column, value)| column.push(value));
-            let lengths = episode.vehicles.iter().map(|placed| placed.length_m);
-            self.lengths
-                .iter_mut()
-                .zip(lengths)
-                .for_each(|(known, length_m)| known.push(length_m));
-        }
-        let driven = following_exposure(recording, leaders, vehicles - 1);
-        let new = SourceExposure {
-            name: source_name(recording),
-            episodes: (self.clusters.len() - before) as u64,
-            hours: driven.hours,
-            kilometres: driven.kilometres,
-            undescribed_brakings: (self.exclusions.count_in_exposure() - left_out) as u64,
-        };
-        let (is_same, count) = (
-            self.last_path.as_ref() == Some(&recording.path),
-            self.sources.len(),
-        );
-        match self.sources.last_mut().filter(|_| is_same) {
-            Some(source) => {
-                source.episodes += new.episodes;
-                source.hours += new.hours;
-                source.kilometres += new.kilometres;
-                source.undescribed_brakings += new.undescribed_brakings;
-            }
-            None if count >= MAX_RECORDINGS => {
-                return Err(FitError::TooMany {
-                    found: count + 1,
-                    max: MAX_RECORDINGS,
-                    what: "recordings",
-                });
-            }
-            None => {
-                self.last_path = Some(recording.path.clone());
-                self.sources.push(new);
-                self.hardest.push(HardestSearch::default());
-            }
-        }
-        self.hardest
-            .iter_mut()
-            .last()
-            .into_iter()
-            .for_each(|search| search.add(recording));
+        self.last_path = Some(recording.path.clone());
+        self.sources.push(exposure);
+        self.hardest.push(HardestSearch::default());
         Ok(())
     }
 }
 
-fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
-    let mut known: Vec<u32> = waves.to_vec();
-    known.sort_unstable();
-    known.dedup();
-    waves
+fn check_episode_count(episodes: usize) -> Result<(), FitError> {
+    if episodes > MAX_EPISODES {
+        return Err(FitError::TooMany {
+            found: episodes,
+            max: MAX_EPISODES,
+            what: "episodes",
+        });
+    }
+    Ok(())
+}
+
+/// Numbers the clusters without gaps, in their order.
+fn renumber_clusters(clusters: &[u32]) -> Vec<u32> {
+    let mut sorted: Vec<u32> = clusters.to_vec();
+    sorted.sort_unstable();
+    sorted.dedup();
+    clusters
         .iter()
-        .map(|cluster| known.partition_point(|other| other < cluster) as u32)
+        .map(|cluster| sorted.partition_point(|smaller| smaller < cluster) as u32)
         .collect()
 }
 

@@ -110,21 +110,21 @@ impl DistributionFamily {
             return Err(FamilyFitError::NotPositive(smallest));
         }
         let sums = SampleStatistics::new(values, range);
-        let objective = |at: [f64; 2]| -self.ln_likelihood(&sums, at);
-        let found = minimize(&objective, self.initial_point(&sums));
-        let ln_likelihood = -objective(found);
+        let objective = |point: [f64; 2]| -self.ln_likelihood(&sums, point);
+        let maximum = minimize(&objective, self.initial_point(&sums));
+        let ln_likelihood = -objective(maximum);
         if !ln_likelihood.is_finite() {
             return Err(FamilyFitError::NoMaximum);
         }
         Ok(FamilyFit {
             family: self,
             parameter_names: self.parameter_names(),
-            estimates: self.estimates(&sums, found),
-            intervals_95: self.intervals(&sums, &objective, found),
+            estimates: self.estimates(&sums, maximum),
+            intervals_95: self.intervals(&sums, &objective, maximum),
             ln_likelihood,
             aic: 4.0 - 2.0 * ln_likelihood,
             bic: 2.0 * (values.len() as f64).ln() - 2.0 * ln_likelihood,
-            distribution: self.distribution(self.estimates(&sums, found), range),
+            distribution: self.distribution(self.estimates(&sums, maximum), range),
         })
     }
 
@@ -205,30 +205,26 @@ impl DistributionFamily {
     /// Returns the log-likelihood of the truncated distribution; −∞ for parameters that no space may have.
     fn ln_likelihood(self, sums: &SampleStatistics<'_>, at: [f64; 2]) -> f64 {
         let n = sums.values.len() as f64;
-        let parameters @ [first, second] = self.estimates(sums, at);
+        let parameters = self.estimates(sums, at);
         let Ok(ready) = self.distribution(parameters, sums.range).build() else {
             return f64::NEG_INFINITY;
         };
-        let ln_root = 0.5 * (2.0 * std::f64::consts::PI).ln();
-        let gauss = |mean: f64, deviation: f64, of_mean: f64, of_deviation: f64| {
-            let (off, spread) = ((of_mean - mean) / deviation, of_deviation / deviation);
-            -n * (deviation.ln() + ln_root + 0.5 * (spread * spread + off * off))
-        };
         let whole = match self {
             Self::Uniform => return f64::NEG_INFINITY,
-            Self::Normal => gauss(first, second, sums.mean, sums.deviation),
+            Self::Normal => normal_ln_likelihood(n, parameters, [sums.mean, sums.deviation]),
             Self::LogNormal => {
-                gauss(first, second, sums.ln_mean, sums.ln_deviation) - n * sums.ln_mean
+                let logarithms = [sums.ln_mean, sums.ln_deviation];
+                normal_ln_likelihood(n, parameters, logarithms) - n * sums.ln_mean
             }
             Self::Gamma => {
-                let (shape, scale) = (first, second);
+                let [shape, scale] = parameters;
                 n * ((shape - 1.0) * sums.ln_mean
                     - sums.mean / scale
                     - shape * scale.ln()
                     - ln_gamma(shape))
             }
             Self::Weibull => {
-                let (shape, scale) = (first, second);
+                let [shape, scale] = parameters;
                 let powers: f64 = sums
                     .logarithms
                     .iter()
@@ -254,21 +250,32 @@ impl DistributionFamily {
         }
         let [var_a, var_b, covariance] = [bb, aa, -ab].map(|entry| entry / determinant);
         let [a, b] = at;
-        let end = |sign: f64| {
-            let first = self.estimates(sums, [a + sign * Z_95 * var_a.sqrt(), b])[0];
-            let second = match self {
-                // The logarithm of the second parameter is the difference of both coordinates.
-                Self::Gamma => {
-                    let deviation = (var_a + var_b - 2.0 * covariance).max(0.0).sqrt();
-                    self.estimates(sums, [a, b + sign * Z_95 * deviation])[1]
-                }
-                _ => self.estimates(sums, [a, b + sign * Z_95 * var_b.sqrt()])[1],
-            };
-            [first, second]
+        let deviation_a = var_a.sqrt();
+        let deviation_b = match self {
+            // The logarithm of the second parameter is the difference of both coordinates.
+            Self::Gamma => (var_a + var_b - 2.0 * covariance).max(0.0).sqrt(),
+            _ => var_b.sqrt(),
         };
-        let ([low_a, low_b], [high_a, high_b]) = (end(-1.0), end(1.0));
+        let [[low_a, low_b], [high_a, high_b]] = [-1.0, 1.0].map(|sign| {
+            [
+                self.estimates(sums, [a + sign * Z_95 * deviation_a, b])[0],
+                self.estimates(sums, [a, b + sign * Z_95 * deviation_b])[1],
+            ]
+        });
         Some([[low_a, high_a], [low_b, high_b]])
     }
+}
+
+/// Returns the log-likelihood of a normal distribution for `n` values with a mean and a standard deviation.
+fn normal_ln_likelihood(
+    n: f64,
+    [mean, deviation]: [f64; 2],
+    [sample_mean, sample_deviation]: [f64; 2],
+) -> f64 {
+    let ln_root = 0.5 * (2.0 * std::f64::consts::PI).ln();
+    let offset = (sample_mean - mean) / deviation;
+    let spread = sample_deviation / deviation;
+    -n * (deviation.ln() + ln_root + 0.5 * (spread * spread + offset * offset))
 }
 
 /// Fits the uniform distribution: the observed ends are the most likely ones. The relative distance T to the true ends
@@ -292,8 +299,8 @@ fn fit_uniform(n: usize, low: f64, high: f64) -> FamilyFit {
 impl<'a> SampleStatistics<'a> {
     fn new(values: &'a [f64], range: [f64; 2]) -> Self {
         let logarithms: Vec<f64> = values.iter().map(|value| value.ln()).collect();
-        let (mean, deviation) = moments(values);
-        let (ln_mean, ln_deviation) = moments(&logarithms);
+        let [mean, deviation] = moments(values);
+        let [ln_mean, ln_deviation] = moments(&logarithms);
         Self {
             values,
             logarithms,
@@ -306,18 +313,12 @@ impl<'a> SampleStatistics<'a> {
     }
 }
 
-fn moments(values: &[f64]) -> (f64, f64) {
+/// Returns the mean and the standard deviation.
+fn moments(values: &[f64]) -> [f64; 2] {
     let n = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / n;
-    (
-        mean,
-        (values
-            .iter()
-            .map(|value| (value - mean) * (value - mean))
-            .sum::<f64>()
-            / n)
-            .sqrt(),
-    )
+    let squares = values.iter().map(|value| (value - mean) * (value - mean));
+    [mean, (squares.sum::<f64>() / n).sqrt()]
 }
 
 fn min_max(values: &[f64]) -> (f64, f64) {

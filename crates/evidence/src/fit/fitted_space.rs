@@ -10,8 +10,8 @@ use super::goodness::{GoodnessOfFit, Tails};
 use super::marginal::{ContinuousMarginal, FittedMarginal, PointFit};
 use super::space::{build_space, fit_marginals, median};
 use crumple_spaces::{
-    Base, ChoiceSpec, Dependence, DistributionSpec, ObservedParameter, ParameterSpec,
-    ParameterValue, SPACE_VERSION, ScenarioSpace, SpaceSpec, UniformSpec,
+    Base, ChoiceSpec, Dependence, DistributionSpec, ParameterSpec, ParameterValue, SPACE_VERSION,
+    ScenarioSpace, SpaceSpec, UniformSpec,
 };
 
 /// Fit of a continuous feature.
@@ -78,71 +78,66 @@ pub fn fit(
     samples: u32,
     seed: u64,
 ) -> Result<FittedSpace, FitError> {
-    let parameter = |(number, observed): (&EpisodeFeature, &ObservedParameter)| ParameterSpec {
-        name: number.name.clone(),
-        field: number.field.clone(),
-        unit: number.unit.to_owned(),
-        nominal: Some(ParameterValue::Number(median(&observed.values))),
-        distribution: placeholder_distribution(number),
+    let spec = unfitted_spec(sample, name);
+    let marginals = fit_marginals(&spec, &sample.observed)?;
+    let space = build_space(&spec, &sample.observed, &marginals)?;
+    let mut features = Vec::new();
+    let mut sizes = Vec::new();
+    for (index, (feature, marginal)) in sample.features.iter().zip(marginals).enumerate() {
+        match marginal {
+            FittedMarginal::Discrete(values) => {
+                sizes.push(FittedSize {
+                    name: feature.name.clone(),
+                    unit: feature.unit,
+                    values,
+                });
+            }
+            FittedMarginal::Continuous(dense) => {
+                let effort = (samples, seed, index as u64);
+                let values = sample.observed_values(index);
+                features.push(assess_fit(feature, values, *dense, effort)?);
+            }
+        }
+    }
+    let copula = match &space.spec().dependence {
+        Some(Dependence::GaussianCopula(copula)) => Some(copula),
+        None => None,
     };
-    let spec = SpaceSpec {
+    Ok(FittedSpace {
+        features,
+        sizes,
+        copula_parameters: copula.map_or_else(Vec::new, |copula| copula.parameters.clone()),
+        correlation: copula.map_or_else(Vec::new, |copula| copula.correlation.clone()),
+        space,
+    })
+}
+
+/// Returns the space with placeholders for the distributions of its parameters.
+fn unfitted_spec(sample: &EpisodeSample, name: &str) -> SpaceSpec {
+    let features = sample.features.iter().zip(&sample.observed.parameters);
+    SpaceSpec {
         version: SPACE_VERSION,
         name: name.to_owned(),
         about: describe_space(sample),
         base: Base::Inline(Box::new(base_scenario(sample, name))),
-        parameters: sample
-            .features
-            .iter()
-            .zip(&sample.observed.parameters)
-            .map(parameter)
+        parameters: features
+            .map(|(feature, observed)| ParameterSpec {
+                name: feature.name.clone(),
+                field: feature.field.clone(),
+                unit: feature.unit.to_owned(),
+                nominal: Some(ParameterValue::Number(median(&observed.values))),
+                distribution: placeholder_distribution(feature),
+            })
             .collect(),
         dependence: None,
         exposure: Some(sample.exposure.clone()),
         observed: Some(sample.observed.clone()),
-    };
-    let marginals = fit_marginals(&spec, &sample.observed)?;
-    let space = build_space(&spec, &sample.observed, &marginals)?;
-    let (mut numbers, mut sizes) = (Vec::new(), Vec::new());
-    for (place, (number, marginal)) in sample.features.iter().zip(marginals).enumerate() {
-        let values = sample
-            .observed
-            .parameters
-            .get(place)
-            .map_or(&[][..], |observed| observed.values.as_slice());
-        match marginal {
-            FittedMarginal::Discrete(values) => {
-                sizes.push(FittedSize {
-                    name: number.name.clone(),
-                    unit: number.unit,
-                    values,
-                });
-            }
-            FittedMarginal::Continuous(dense) => numbers.push(assess_fit(
-                number,
-                values,
-                *dense,
-                (samples, seed, place as u64),
-            )?),
-        }
     }
-    let (depending, correlation) = match &space.spec().dependence {
-        Some(Dependence::GaussianCopula(copula)) => {
-            (copula.parameters.clone(), copula.correlation.clone())
-        }
-        None => (Vec::new(), Vec::new()),
-    };
-    Ok(FittedSpace {
-        space,
-        features: numbers,
-        sizes,
-        copula_parameters: depending,
-        correlation,
-    })
 }
 
-fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
-    let [low, high] = number.range;
-    match number.choices {
+fn placeholder_distribution(feature: &EpisodeFeature) -> DistributionSpec {
+    let [low, high] = feature.range;
+    match feature.choices {
         Some(values) => DistributionSpec::Choice(ChoiceSpec {
             values: values.map(ParameterValue::Number).to_vec(),
             weights: None,
@@ -152,7 +147,7 @@ fn placeholder_distribution(number: &EpisodeFeature) -> DistributionSpec {
 }
 
 fn assess_fit(
-    number: &EpisodeFeature,
+    feature: &EpisodeFeature,
     values: &[f64],
     dense: ContinuousMarginal,
     effort: (u32, u64, u64),
@@ -168,10 +163,16 @@ fn assess_fit(
         .collect();
     let ready = families.chosen.distribution.build()?;
     Ok(FittedFeature {
-        name: number.name.clone(),
-        unit: number.unit,
+        name: feature.name.clone(),
+        unit: feature.unit,
         point_mass: point,
-        goodness: GoodnessOfFit::bootstrap(&others, number.range, &families.chosen, &ready, effort),
+        goodness: GoodnessOfFit::bootstrap(
+            &others,
+            feature.range,
+            &families.chosen,
+            &ready,
+            effort,
+        ),
         tails: Tails::new(&others, &ready),
         chosen: families.chosen,
         others: families.others,

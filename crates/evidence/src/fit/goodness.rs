@@ -43,11 +43,9 @@ pub struct Tails {
 
 impl Tails {
     pub(super) fn new(sorted: &[f64], fitted: &ParameterDistribution) -> Self {
-        let (smallest, largest) = (
-            sorted.first().copied().unwrap_or(f64::NAN),
-            sorted.last().copied().unwrap_or(f64::NAN),
-        );
-        let (low, high) = (fitted.quantile(0.1), fitted.quantile(0.9));
+        let smallest = sorted.first().copied().unwrap_or(f64::NAN);
+        let largest = sorted.last().copied().unwrap_or(f64::NAN);
+        let [low, high] = [0.1, 0.9].map(|share| fitted.quantile(share));
         Self {
             smallest,
             largest,
@@ -72,9 +70,11 @@ pub fn format_p_value(p: f64) -> String {
 
 fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
     let n = sorted.len() as f64;
-    let (mut largest, mut squares) = (0.0_f64, 1.0 / (12.0 * n));
+    let mut largest = 0.0_f64;
+    let mut squares = 1.0 / (12.0 * n);
     for (index, &value) in sorted.iter().enumerate() {
-        let (below, index) = (fitted.cdf(value), index as f64);
+        let below = fitted.cdf(value);
+        let index = index as f64;
         largest = largest
             .max((index + 1.0) / n - below)
             .max(below - index / n);
@@ -84,39 +84,45 @@ fn edf_statistics(sorted: &[f64], fitted: &ParameterDistribution) -> [f64; 2] {
 }
 
 impl GoodnessOfFit {
-    /// Computes the bootstrap for sorted values in a range; `place` separates the random streams of several fits.
+    /// Computes the bootstrap for sorted values in a range; `feature` separates the random streams of several fits.
     pub(super) fn bootstrap(
         sorted: &[f64],
         range: [f64; 2],
         fit: &FamilyFit,
         fitted: &ParameterDistribution,
-        (samples, seed, place): (u32, u64, u64),
+        (samples, seed, feature): (u32, u64, u64),
     ) -> Self {
-        let seen = edf_statistics(sorted, fitted);
-        let again = |index: u32| {
-            let mut random = stream(seed, Purpose::Resampling, (place << 32) + u64::from(index));
-            let mut drawn: Vec<f64> = sorted
+        let observed = edf_statistics(sorted, fitted);
+        let resampled: Vec<[f64; 2]> = (0..samples)
+            .into_par_iter()
+            .filter_map(|index| {
+                let stream_number = (feature << 32) + u64::from(index);
+                let mut random = stream(seed, Purpose::Resampling, stream_number);
+                let mut values: Vec<f64> = sorted
+                    .iter()
+                    .map(|_| fitted.quantile(random.random()))
+                    .collect();
+                values.sort_by(f64::total_cmp);
+                let refitted = fit.family.fit(&values, range).ok()?;
+                Some(edf_statistics(
+                    &values,
+                    &refitted.distribution.build().ok()?,
+                ))
+            })
+            .collect();
+        let [kolmogorov_smirnov_p, cramer_von_mises_p] = [0, 1].map(|statistic| {
+            let as_far = resampled
                 .iter()
-                .map(|_| fitted.quantile(random.random()))
-                .collect();
-            drawn.sort_by(f64::total_cmp);
-            let refitted = fit.family.fit(&drawn, range).ok()?;
-            Some(edf_statistics(&drawn, &refitted.distribution.build().ok()?))
-        };
-        let again: Vec<[f64; 2]> = (0..samples).into_par_iter().filter_map(again).collect();
-        let share = |which: usize| {
-            let as_far = again
-                .iter()
-                .filter(|distances| distances[which] >= seen[which])
+                .filter(|distances| distances[statistic] >= observed[statistic])
                 .count();
-            (as_far + 1) as f64 / (again.len() + 1) as f64
-        };
+            (as_far + 1) as f64 / (resampled.len() + 1) as f64
+        });
         Self {
-            kolmogorov_smirnov: seen[0],
-            kolmogorov_smirnov_p: share(0),
-            cramer_von_mises: seen[1],
-            cramer_von_mises_p: share(1),
-            samples: again.len() as u32,
+            kolmogorov_smirnov: observed[0],
+            kolmogorov_smirnov_p,
+            cramer_von_mises: observed[1],
+            cramer_von_mises_p,
+            samples: resampled.len() as u32,
         }
     }
 }

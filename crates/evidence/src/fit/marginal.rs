@@ -23,15 +23,13 @@ pub struct PointFit {
 
 impl PointFit {
     fn new(at: f64, values: &[f64]) -> Self {
-        let (seen, of) = (
-            values.iter().filter(|value| **value == at).count() as u64,
-            values.len() as u64,
-        );
-        let RateInterval { lower, upper } = RateInterval::clopper_pearson(seen, of, 0.95);
+        let count = values.iter().filter(|value| **value == at).count() as u64;
+        let all = values.len() as u64;
+        let RateInterval { lower, upper } = RateInterval::clopper_pearson(count, all, 0.95);
         Self {
             at,
-            count: seen,
-            probability: seen as f64 / of.max(1) as f64,
+            count,
+            probability: count as f64 / all.max(1) as f64,
             interval_95: [lower, upper],
         }
     }
@@ -71,21 +69,12 @@ impl FittedMarginal {
     ) -> Result<Self, FitError> {
         let values = &parameter.values;
         if let DistributionSpec::Choice(choice) = stated {
-            let number = |value: &ParameterValue| {
-                if let ParameterValue::Number(number) = value {
-                    Some(*number)
-                } else {
-                    None
-                }
-            };
-            return Ok(Self::Discrete(
-                choice
-                    .values
-                    .iter()
-                    .filter_map(number)
-                    .map(|at| PointFit::new(at, values))
-                    .collect(),
-            ));
+            let numbers = choice.values.iter().filter_map(|value| match value {
+                ParameterValue::Number(number) => Some(*number),
+                _ => None,
+            });
+            let points = numbers.map(|number| PointFit::new(number, values));
+            return Ok(Self::Discrete(points.collect()));
         }
         let point = parameter
             .point_mass
@@ -129,7 +118,8 @@ pub(super) struct FamilyRanking {
 
 impl FamilyRanking {
     pub(super) fn fit(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
-        let (mut fits, mut impossible) = (Vec::new(), Vec::new());
+        let mut fits = Vec::new();
+        let mut impossible = Vec::new();
         for family in DistributionFamily::ALL {
             match family.fit(values, range) {
                 Ok(fit) => fits.push(fit),

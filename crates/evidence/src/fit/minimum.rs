@@ -5,79 +5,102 @@ const TOLERANCE: f64 = 1e-7;
 
 /// Minimises with the simplex of Nelder and Mead (A simplex method for function minimization, 1965), restarted once at
 /// its result. Values that are not finite are the worst.
-pub(super) fn minimize(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2]) -> [f64; 2] {
-    let once = nelder_mead(of, start, 0.5);
-    nelder_mead(of, once, 0.1)
+pub(super) fn minimize(function: &Function<'_>, start: [f64; 2]) -> [f64; 2] {
+    let first_result = nelder_mead(function, start, 0.5);
+    nelder_mead(function, first_result, 0.1)
 }
 
-fn nelder_mead(of: &dyn Fn([f64; 2]) -> f64, start: [f64; 2], size: f64) -> [f64; 2] {
-    let evaluated = |at: [f64; 2]| {
-        let value = of(at);
-        (
-            at,
-            if value.is_finite() {
-                value
-            } else {
-                f64::INFINITY
-            },
-        )
-    };
+type Function<'a> = dyn Fn([f64; 2]) -> f64 + 'a;
+
+/// A corner of the simplex.
+#[derive(Clone, Copy)]
+struct Corner {
+    point: [f64; 2],
+    value: f64,
+}
+
+impl Corner {
+    fn evaluate(function: &Function<'_>, point: [f64; 2]) -> Self {
+        let value = function(point);
+        let value = if value.is_finite() {
+            value
+        } else {
+            f64::INFINITY
+        };
+        Self { point, value }
+    }
+
+    fn distance(&self, corner: &Self) -> f64 {
+        let [x, y] = self.point;
+        (x - corner.point[0]).abs().max((y - corner.point[1]).abs())
+    }
+}
+
+fn nelder_mead(function: &Function<'_>, start: [f64; 2], size: f64) -> [f64; 2] {
     let [x, y] = start;
-    let mut corners = [
-        evaluated(start),
-        evaluated([x + size, y]),
-        evaluated([x, y + size]),
-    ];
+    let mut corners =
+        [start, [x + size, y], [x, y + size]].map(|point| Corner::evaluate(function, point));
     for _ in 0..MAX_STEPS {
-        corners.sort_by(|a, b| a.1.total_cmp(&b.1));
+        corners.sort_by(|a, b| a.value.total_cmp(&b.value));
         let [best, middle, worst] = corners;
-        let apart = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
-        if apart(best.0, middle.0).max(apart(best.0, worst.0)) < TOLERANCE {
+        if best.distance(&middle).max(best.distance(&worst)) < TOLERANCE {
             break;
         }
-        let towards = |share: f64| {
-            let along = |axis: usize| {
-                let centre = 0.5 * (best.0[axis] + middle.0[axis]);
-                centre + share * (centre - worst.0[axis])
-            };
-            evaluated([along(0), along(1)])
+        corners = match find_better_corner(function, corners) {
+            Some(better) => [best, middle, better],
+            None => [
+                best,
+                halve_distance(function, middle, best),
+                halve_distance(function, worst, best),
+            ],
         };
-        let reflected = towards(1.0);
-        let replaced = if reflected.1 < best.1 {
-            let expanded = towards(2.0);
-            Some(if expanded.1 < reflected.1 {
-                expanded
-            } else {
-                reflected
-            })
-        } else if reflected.1 < middle.1 {
-            Some(reflected)
-        } else {
-            let contracted = if reflected.1 < worst.1 {
-                towards(0.5)
-            } else {
-                towards(-0.5)
-            };
-            (contracted.1 < worst.1.min(reflected.1)).then_some(contracted)
-        };
-        match replaced {
-            Some(better) => corners[2] = better,
-            None => {
-                let half = |corner: [f64; 2]| {
-                    evaluated([0.5 * (corner[0] + best.0[0]), 0.5 * (corner[1] + best.0[1])])
-                };
-                corners = [best, half(middle.0), half(worst.0)];
-            }
-        }
     }
-    corners.sort_by(|a, b| a.1.total_cmp(&b.1));
-    corners[0].0
+    corners.sort_by(|a, b| a.value.total_cmp(&b.value));
+    corners[0].point
+}
+
+/// Reflects, expands or contracts the worst corner of a sorted simplex; `None` if no such corner is better.
+fn find_better_corner(
+    function: &Function<'_>,
+    [best, middle, worst]: [Corner; 3],
+) -> Option<Corner> {
+    let beyond_centre = |share: f64| {
+        let point = std::array::from_fn(|axis| {
+            let centre = 0.5 * (best.point[axis] + middle.point[axis]);
+            centre + share * (centre - worst.point[axis])
+        });
+        Corner::evaluate(function, point)
+    };
+    let reflected = beyond_centre(1.0);
+    if reflected.value < best.value {
+        let expanded = beyond_centre(2.0);
+        return Some(if expanded.value < reflected.value {
+            expanded
+        } else {
+            reflected
+        });
+    }
+    if reflected.value < middle.value {
+        return Some(reflected);
+    }
+    let contracted = beyond_centre(if reflected.value < worst.value {
+        0.5
+    } else {
+        -0.5
+    });
+    (contracted.value < worst.value.min(reflected.value)).then_some(contracted)
+}
+
+/// Returns the corner half-way to the best one.
+fn halve_distance(function: &Function<'_>, corner: Corner, best: Corner) -> Corner {
+    let point = std::array::from_fn(|axis| 0.5 * (corner.point[axis] + best.point[axis]));
+    Corner::evaluate(function, point)
 }
 
 /// Returns the Hessian by central differences; `None` if a value is not finite.
-pub(super) fn hessian(of: &dyn Fn([f64; 2]) -> f64, [x, y]: [f64; 2]) -> Option<[[f64; 2]; 2]> {
+pub(super) fn hessian(function: &Function<'_>, [x, y]: [f64; 2]) -> Option<[[f64; 2]; 2]> {
     const STEP: f64 = 1e-3;
-    let at = |i: f64, j: f64| of([x + i * STEP, y + j * STEP]);
+    let at = |i: f64, j: f64| function([x + i * STEP, y + j * STEP]);
     let squared = STEP * STEP;
     let middle = at(0.0, 0.0);
     let xx = (at(1.0, 0.0) - 2.0 * middle + at(-1.0, 0.0)) / squared;
@@ -94,14 +117,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_banana_is_descended_and_its_curvature_known() {
+    fn minimum_and_hessian_of_the_banana_function() {
         let banana = |[x, y]: [f64; 2]| (1.0 - x).powi(2) + 100.0 * (y - x * x).powi(2);
-        let found = minimize(&banana, [-1.2, 1.0]);
+        let minimum = minimize(&banana, [-1.2, 1.0]);
         assert!(
-            (found[0] - 1.0).abs() < 1e-5 && (found[1] - 1.0).abs() < 1e-5,
-            "{found:?}"
+            (minimum[0] - 1.0).abs() < 1e-5 && (minimum[1] - 1.0).abs() < 1e-5,
+            "{minimum:?}"
         );
-        let [[xx, xy], [_, yy]] = hessian(&banana, found).unwrap();
+        let [[xx, xy], [_, yy]] = hessian(&banana, minimum).unwrap();
         assert!(
             (xx - 802.0).abs() < 0.1 && (xy + 400.0).abs() < 0.1 && (yy - 200.0).abs() < 0.1,
             "{xx} {xy} {yy}"

@@ -30,17 +30,18 @@ pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> Observ
         .iter()
         .enumerate()
         .flat_map(|(cluster, members)| members.iter().map(move |_| cluster as u32));
-    let values = |parameter: &ObservedParameter| ObservedParameter {
-        values: drawn
-            .iter()
-            .flat_map(|members| members.iter())
-            .filter_map(|&at| parameter.values.get(at).copied())
-            .collect(),
-        ..parameter.clone()
-    };
+    let parameters = observed.parameters.iter().map(|parameter| {
+        let episodes = drawn.iter().flat_map(|members| members.iter());
+        ObservedParameter {
+            values: episodes
+                .filter_map(|&episode| parameter.values.get(episode).copied())
+                .collect(),
+            ..parameter.clone()
+        }
+    });
     ObservedData {
         braking_clusters: numbered.collect(),
         search_share: observed.search_share,
-        parameters: observed.parameters.iter().map(values).collect(),
+        parameters: parameters.collect(),
     }
 }

@@ -23,25 +23,13 @@ pub struct VehicleSizes {
 
 impl VehicleSizes {
     pub(super) fn new(lengths_m: &[Option<f64>]) -> Self {
-        let of_class = |class: VehicleClass| -> Vec<f64> {
-            let known = lengths_m.iter().flatten().copied();
-            known
-                .filter(|length_m| VehicleClass::from_length(*length_m) == class)
-                .collect()
-        };
-        let (light, heavy) = (of_class(VehicleClass::Light), of_class(VehicleClass::Heavy));
-        let usual_m = |known: &[f64]| {
-            if known.is_empty() {
-                CAR_LENGTH_M
-            } else {
-                median(known)
-            }
-        };
+        let light_m = lengths_of_class(lengths_m, VehicleClass::Light);
+        let heavy_m = lengths_of_class(lengths_m, VehicleClass::Heavy);
         Self {
-            light: light.len(),
-            light_m: usual_m(&light),
-            heavy: heavy.len(),
-            heavy_m: usual_m(&heavy),
+            light: light_m.len(),
+            light_m: median_or_car_length(&light_m),
+            heavy: heavy_m.len(),
+            heavy_m: median_or_car_length(&heavy_m),
             unknown: lengths_m
                 .iter()
                 .filter(|length_m| length_m.is_none())
@@ -78,15 +66,15 @@ impl VehicleSizes {
     }
 
     pub(super) fn scenario_lengths_m(&self, lengths_m: &[Option<f64>]) -> Vec<f64> {
-        let is_heavy = |length_m: f64| VehicleClass::from_length(length_m) == VehicleClass::Heavy;
-        let size_m = |length_m: &Option<f64>| {
-            if length_m.is_some_and(is_heavy) {
-                self.heavy_m
-            } else {
-                self.light_m
-            }
-        };
-        lengths_m.iter().map(size_m).collect()
+        let classes = lengths_m
+            .iter()
+            .map(|length_m| length_m.map(VehicleClass::from_length));
+        classes
+            .map(|class| match class {
+                Some(VehicleClass::Heavy) => self.heavy_m,
+                _ => self.light_m,
+            })
+            .collect()
     }
 
     /// Describes the sizes of vehicle `index` from the front in a sentence.
@@ -117,5 +105,22 @@ impl VehicleSizes {
             "{who}: {}",
             kinds.into_iter().flatten().collect::<Vec<_>>().join(", ")
         )
+    }
+}
+
+fn lengths_of_class(lengths_m: &[Option<f64>], class: VehicleClass) -> Vec<f64> {
+    lengths_m
+        .iter()
+        .flatten()
+        .copied()
+        .filter(|length_m| VehicleClass::from_length(*length_m) == class)
+        .collect()
+}
+
+fn median_or_car_length(lengths_m: &[f64]) -> f64 {
+    if lengths_m.is_empty() {
+        CAR_LENGTH_M
+    } else {
+        median(lengths_m)
     }
 }

@@ -30,15 +30,17 @@ pub(super) fn fit_marginals(
     spec: &SpaceSpec,
     observed: &ObservedData,
 ) -> Result<Vec<FittedMarginal>, FitError> {
-    let fitted = |parameter: &ObservedParameter| match stated_distribution(spec, &parameter.name) {
-        Some(distribution) => FittedMarginal::fit(parameter, distribution),
-        None => Err(InvalidSpace::new(
-            "observed.parameters",
-            format!("there is no `{}`", parameter.name),
-        )
-        .into()),
-    };
-    observed.parameters.par_iter().map(fitted).collect()
+    let marginals = observed.parameters.par_iter().map(|parameter| {
+        match stated_distribution(spec, &parameter.name) {
+            Some(distribution) => FittedMarginal::fit(parameter, distribution),
+            None => Err(InvalidSpace::new(
+                "observed.parameters",
+                format!("there is no `{}`", parameter.name),
+            )
+            .into()),
+        }
+    });
+    marginals.collect()
 }
 
 fn stated_distribution<'a>(spec: &'a SpaceSpec, name: &str) -> Option<&'a DistributionSpec> {
@@ -103,16 +105,16 @@ fn merge_copulas(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<G
             .filter(|name| !stated.parameters.contains(name))
             .cloned(),
     );
-    let entry = |a: &String, b: &String| match copula_entry(&fitted, a, b)
-        .or_else(|| copula_entry(&stated, a, b))
-    {
-        _ if a == b => 1.0,
-        found => found.unwrap_or(0.0),
-    };
-    let rows = parameters
-        .iter()
-        .map(|a| parameters.iter().map(|b| entry(a, b)).collect())
-        .collect();
+    let rows = parameters.iter().map(|a| {
+        let entries = parameters.iter().map(|b| match a == b {
+            true => 1.0,
+            false => copula_entry(&fitted, a, b)
+                .or_else(|| copula_entry(&stated, a, b))
+                .unwrap_or(0.0),
+        });
+        entries.collect()
+    });
+    let rows = rows.collect();
     let all_fitted = parameters
         .iter()
         .all(|name| fitted.parameters.contains(name));
@@ -128,8 +130,11 @@ fn merge_copulas(stated: Option<Dependence>, fitted: GaussianCopula) -> Option<G
 }
 
 fn copula_entry(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
-    let place = |name: &str| copula.parameters.iter().position(|known| known == name);
-    copula.correlation.get(place(a)?)?.get(place(b)?).copied()
+    let [row, column] = [a, b].map(|name| {
+        let mut parameters = copula.parameters.iter();
+        parameters.position(|parameter| parameter == name)
+    });
+    copula.correlation.get(row?)?.get(column?).copied()
 }
 
 /// Returns the first edit of a space since its fit: the name of a parameter, or `dependence`; `None` without edits.
@@ -141,45 +146,53 @@ pub(crate) fn find_edit(
     space: &ScenarioSpace,
     observed: &ObservedData,
 ) -> Result<Option<String>, FitError> {
-    let again = refit(space.spec(), observed)?;
+    let refitted = refit(space.spec(), observed)?;
     for parameter in &observed.parameters {
-        let [stated, fitted] =
-            [space.spec(), again.spec()].map(|spec| stated_distribution(spec, &parameter.name));
-        let (Some(stated), Some(fitted)) = (stated, fitted) else {
-            continue;
-        };
-        let [stated, fitted] = [stated.build()?, fitted.build()?];
-        let ends = parameter
-            .values
-            .iter()
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| {
-                [low.min(value), high.max(value)]
-            });
-        let close = TOLERANCE * (ends[1] - ends[0]).abs();
-        let share = |index: u32| f64::from(index) / f64::from(COMPARED_QUANTILES);
-        if (0..=COMPARED_QUANTILES)
-            .any(|at| (stated.quantile(share(at)) - fitted.quantile(share(at))).abs() > close)
-        {
+        if is_distribution_edited(space.spec(), refitted.spec(), parameter)? {
             return Ok(Some(parameter.name.clone()));
         }
     }
-    let copula = |space: &ScenarioSpace| match &space.spec().dependence {
-        Some(Dependence::GaussianCopula(copula)) => copula.clone(),
-        None => GaussianCopula {
-            parameters: Vec::new(),
-            correlation: Vec::new(),
-        },
-    };
-    let (stated, fitted) = (copula(space), copula(&again));
-    let differs = |a: &ObservedParameter, b: &ObservedParameter| {
-        let of = |copula: &GaussianCopula| copula_entry(copula, &a.name, &b.name).unwrap_or(0.0);
-        a.name != b.name && (of(&stated) - of(&fitted)).abs() > TOLERANCE
-    };
     let parameters = &observed.parameters;
-    let is_other = parameters
+    let is_dependence_edited = parameters.iter().any(|a| {
+        parameters.iter().any(|b| {
+            let [stated, fitted] =
+                [space, &refitted].map(|space| dependence_of(space, &a.name, &b.name));
+            a.name != b.name && (stated - fitted).abs() > TOLERANCE
+        })
+    });
+    Ok(is_dependence_edited.then(|| "dependence".to_owned()))
+}
+
+/// True if quantiles of the stated and of the fitted distribution of a parameter differ.
+fn is_distribution_edited(
+    stated: &SpaceSpec,
+    fitted: &SpaceSpec,
+    parameter: &ObservedParameter,
+) -> Result<bool, FitError> {
+    let [stated, fitted] = [stated, fitted].map(|spec| stated_distribution(spec, &parameter.name));
+    let (Some(stated), Some(fitted)) = (stated, fitted) else {
+        return Ok(false);
+    };
+    let [stated, fitted] = [stated.build()?, fitted.build()?];
+    let [smallest, largest] = parameter
+        .values
         .iter()
-        .any(|a| parameters.iter().any(|b| differs(a, b)));
-    Ok(is_other.then(|| "dependence".to_owned()))
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &value| {
+            [low.min(value), high.max(value)]
+        });
+    let tolerance = TOLERANCE * (largest - smallest).abs();
+    Ok((0..=COMPARED_QUANTILES).any(|index| {
+        let share = f64::from(index) / f64::from(COMPARED_QUANTILES);
+        (stated.quantile(share) - fitted.quantile(share)).abs() > tolerance
+    }))
+}
+
+/// Returns the correlation of two parameters of a space; 0 if its copula does not have both.
+fn dependence_of(space: &ScenarioSpace, a: &str, b: &str) -> f64 {
+    match &space.spec().dependence {
+        Some(Dependence::GaussianCopula(copula)) => copula_entry(copula, a, b).unwrap_or(0.0),
+        None => 0.0,
+    }
 }
 
 /// Returns the median, the upper one of an even number of values.

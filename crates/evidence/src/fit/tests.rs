@@ -89,9 +89,9 @@ fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<
 
 /// With 200 trials, an interval at 95 % misses at least 18 times with a probability below 2 %; the seeds are fixed.
 #[test]
-fn intervals_hold_the_parameters_of_known_distributions() {
+fn intervals_contain_the_parameters_of_known_distributions() {
     for (distribution, family, truth, range) in known_distributions() {
-        let mut held = [0; 2];
+        let mut covered = [0; 2];
         for trial in 0..200 {
             let fit = family
                 .fit(&draw_values(&distribution, 200, trial), range)
@@ -99,16 +99,16 @@ fn intervals_hold_the_parameters_of_known_distributions() {
             let intervals = fit.intervals_95.unwrap();
             for which in 0..2 {
                 let [low, high] = intervals[which];
-                held[which] += u32::from(low <= truth[which] && truth[which] <= high);
+                covered[which] += u32::from(low <= truth[which] && truth[which] <= high);
             }
         }
         println!(
-            "{}: {held:?} of 200 intervals hold the parameters",
+            "{}: {covered:?} of 200 intervals hold the parameters",
             family.name()
         );
         assert!(
-            held.iter().all(|held| (183..=200).contains(held)),
-            "{}: {held:?}",
+            covered.iter().all(|covered| (183..=200).contains(covered)),
+            "{}: {covered:?}",
             family.name()
         );
     }
@@ -134,7 +134,7 @@ fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
 }
 
 #[test]
-fn the_p_value_is_even_where_the_family_is_right() {
+fn p_values_are_uniform_if_the_family_is_right() {
     let (distribution, family, _, range) = known_distributions().remove(2);
     let evaluated = |values: &mut Vec<f64>, family: DistributionFamily, trial: u64| {
         values.sort_by(f64::total_cmp);
@@ -196,7 +196,7 @@ correlation = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]]
 
 /// The standard deviation of the estimate for −0.3 from 2000 samples is 0.02; one in seventy has an error above 0.05.
 #[test]
-fn the_correlation_of_2000_draws_is_recovered() {
+fn the_correlation_of_2000_samples_is_recovered() {
     let space = dependent_space();
     let truth = [[1.0, -0.3, 0.7], [-0.3, 1.0, 0.2], [0.7, 0.2, 1.0]];
     let (mut close, mut sums) = (0, [0.0; 3]);
@@ -207,15 +207,15 @@ fn the_correlation_of_2000_draws_is_recovered() {
         let column = |which: usize| draws.iter().map(|draw| draw[which]).collect::<Vec<f64>>();
         let columns = [column(2), column(0), column(1)];
         let distribution = &space.spec().parameters[0].distribution;
-        let found =
+        let correlation =
             dependence::estimate_correlation(&columns.each_ref().map(|values| CopulaColumn {
                 values,
                 distribution,
             }));
-        for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            let off: f64 = found[row][column] - truth[row][column];
+        for (index, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+            let off: f64 = correlation[row][column] - truth[row][column];
             close += u32::from(off.abs() < 0.05);
-            sums[place] += off / 30.0;
+            sums[index] += off / 30.0;
         }
     }
     println!("{close} of 90 correlations to 0.05, mean errors {sums:.4?}");
@@ -229,20 +229,21 @@ fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     let draws: Vec<Vec<f64>> = (0..count.into())
         .map(|index| space.values(&space.draw_point(seed, index)))
         .collect();
-    let seen = |(which, parameter): (usize, &crumple_spaces::SpaceParameter)| ObservedParameter {
-        name: parameter.name().to_owned(),
-        low: parameter.range()[0],
-        high: parameter.range()[1],
-        point_mass: match &space.spec().parameters[which].distribution {
-            DistributionSpec::PointMass(point) => Some(point.at),
-            _ => None,
-        },
-        values: draws.iter().map(|draw| draw[which]).collect(),
-    };
+    let observe =
+        |(which, parameter): (usize, &crumple_spaces::SpaceParameter)| ObservedParameter {
+            name: parameter.name().to_owned(),
+            low: parameter.range()[0],
+            high: parameter.range()[1],
+            point_mass: match &space.spec().parameters[which].distribution {
+                DistributionSpec::PointMass(point) => Some(point.at),
+                _ => None,
+            },
+            values: draws.iter().map(|draw| draw[which]).collect(),
+        };
     ObservedData {
         braking_clusters: (0..count).collect(),
         search_share: None,
-        parameters: space.parameters().iter().enumerate().map(seen).collect(),
+        parameters: space.parameters().iter().enumerate().map(observe).collect(),
     }
 }
 
@@ -280,16 +281,16 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
     let (mut errors, mut most) = ([0.0; 3], 0.0_f64);
     for seed in 0..8 {
         let observed = observe_draws(&space, 2000, seed);
-        let again = refit(space.spec(), &observed).unwrap();
-        let Some(Dependence::GaussianCopula(copula)) = &again.spec().dependence else {
+        let refitted = refit(space.spec(), &observed).unwrap();
+        let Some(Dependence::GaussianCopula(copula)) = &refitted.spec().dependence else {
             panic!("dependent")
         };
-        for (place, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
+        for (index, (row, column)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
             let off: f64 = copula.correlation[row][column] - truth[row][column];
-            errors[place] += off / 8.0;
+            errors[index] += off / 8.0;
             most = most.max(off.abs());
         }
-        let [friction, _, size] = &again.spec().parameters[..] else {
+        let [friction, _, size] = &refitted.spec().parameters[..] else {
             panic!("three")
         };
         let DistributionSpec::PointMass(point) = &friction.distribution else {
@@ -317,14 +318,14 @@ fn point_masses_and_sizes_are_recovered_with_their_dependence() {
             (choice.weights.as_ref().unwrap()[1] / 2000.0 - 0.25).abs() < 0.035,
             "{choice:?}"
         );
-        let text = file::to_toml(&again).unwrap();
+        let text = file::to_toml(&refitted).unwrap();
         assert_eq!(
             file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles)
                 .unwrap()
                 .draw(3, 4),
-            again.draw(3, 4)
+            refitted.draw(3, 4)
         );
-        assert_eq!(find_edit(&again, &observed), Ok(None));
+        assert_eq!(find_edit(&refitted, &observed), Ok(None));
     }
     println!("mean errors {errors:.4?}, the largest {most:.3}");
     assert!(
@@ -371,7 +372,8 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
     };
     let narrower = changed(&|spec| {
         let values = &observed.parameters[1].values;
-        let [low, high] = [f64::min, f64::max].map(|of| values.iter().copied().reduce(of).unwrap());
+        let [low, high] =
+            [f64::min, f64::max].map(|extreme| values.iter().copied().reduce(extreme).unwrap());
         spec.parameters[1].distribution = DistributionSpec::Uniform(UniformSpec { low, high });
     });
     assert_eq!(narrower.as_deref(), Some("ahead_m"));
@@ -384,9 +386,9 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
         Some(Dependence::GaussianCopula(copula)) => copula.clone(),
         None => panic!("dependent"),
     };
-    for kept in [1, 2] {
-        let parameters = observed.parameters[..kept].to_vec();
-        let again = refit(
+    for observed_count in [1, 2] {
+        let parameters = observed.parameters[..observed_count].to_vec();
+        let refitted = refit(
             space.spec(),
             &ObservedData {
                 parameters,
@@ -394,13 +396,13 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
             },
         )
         .unwrap();
-        let (before, after) = (stated(&space), stated(&again));
+        let (before, after) = (stated(&space), stated(&refitted));
         assert_eq!(before.parameters, after.parameters);
         for (row, a) in before.parameters.iter().enumerate() {
             for (column, b) in before.parameters.iter().enumerate() {
-                let is_fitted = kept == 2 && a != "behind_m" && b != "behind_m" && a != b;
+                let is_fitted = observed_count == 2 && a != "behind_m" && b != "behind_m" && a != b;
                 let is_same = before.correlation[row][column] == after.correlation[row][column];
-                assert_eq!(is_same, !is_fitted, "{kept} {a} {b}");
+                assert_eq!(is_same, !is_fitted, "{observed_count} {a} {b}");
             }
         }
     }
@@ -462,13 +464,13 @@ fn pairs_in_lanes(brake_mps2: f64) -> Recording {
 
 #[test]
 fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
-    let taken = ExtractionConfig {
+    let extraction = ExtractionConfig {
         vehicles: 2,
         min_brake: MinBrake::default(),
         leaders: LeaderSelection::Any,
     };
-    let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], taken).unwrap();
-    let left_out = ExclusionCounts {
+    let sample = EpisodeSample::from_recordings(&[pairs_in_lanes(2.0)], extraction).unwrap();
+    let exclusions = ExclusionCounts {
         no_follower: 1,
         impossible_speeds: 1,
         ..ExclusionCounts::default()
@@ -479,7 +481,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
             sample.exposure.episodes,
             sample.exposure.undescribed_brakings
         ),
-        (left_out, 38, 1)
+        (exclusions, 38, 1)
     );
     assert_eq!(sample.exposure.sources[0].undescribed_brakings, 1);
     // 39 leaders with a follower, for 19.9 s each; braking cannot begin in the last second.
@@ -533,7 +535,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
         .collect();
     let heavy = drawn
         .iter()
-        .filter(|one| one.vehicles()[1].class == VehicleClass::Heavy);
+        .filter(|scenario| scenario.vehicles()[1].class == VehicleClass::Heavy);
     assert!(
         (70..140).contains(&heavy.clone().count()),
         "a quarter are lorries: {}",
@@ -542,7 +544,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
     assert!(
         drawn
             .iter()
-            .all(|one| [4.6].contains(&one.vehicles()[0].length_m()))
+            .all(|scenario| [4.6].contains(&scenario.vehicles()[0].length_m()))
     );
     // At every corner of the space, braking ends ten seconds before the end.
     let tried = drawn.into_iter().chain((0..32).map(|corner| {
@@ -563,14 +565,14 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
 
 #[test]
 fn thresholds_are_kept_and_unobservable_values_are_named() {
-    let taken = |mps2| ExtractionConfig {
+    let extraction = |mps2| ExtractionConfig {
         vehicles: 2,
         min_brake: MinBrake::new(mps2).unwrap(),
         leaders: LeaderSelection::Any,
     };
-    assert_eq!(features(&taken(11.5))[1].range, [11.5, 12.0]);
+    assert_eq!(features(&extraction(11.5))[1].range, [11.5, 12.0]);
     assert!(matches!(
-        EpisodeSample::from_recordings(&[], taken(12.0)),
+        EpisodeSample::from_recordings(&[], extraction(12.0)),
         Err(FitError::MinBrake { .. })
     ));
     let header = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps
@@ -589,7 +591,7 @@ fn thresholds_are_kept_and_unobservable_values_are_named() {
         None,
     )
     .unwrap();
-    let message = EpisodeSample::from_recordings(&[slow], taken(1.3))
+    let message = EpisodeSample::from_recordings(&[slow], extraction(1.3))
         .unwrap_err()
         .to_string();
     assert!(
@@ -599,30 +601,38 @@ fn thresholds_are_kept_and_unobservable_values_are_named() {
 }
 
 #[test]
-fn a_fit_to_draws_of_a_space_gives_the_space_back() {
+fn a_fit_to_samples_of_a_space_recovers_the_space() {
     let space = dependent_space();
     let observed = observe_draws(&space, 2000, 9);
-    let again = refit(space.spec(), &observed).unwrap();
+    let refitted = refit(space.spec(), &observed).unwrap();
     for u in [0.02, 0.2, 0.5, 0.8, 0.98] {
-        for (before, after) in space.spec().parameters.iter().zip(&again.spec().parameters) {
+        for (before, after) in space
+            .spec()
+            .parameters
+            .iter()
+            .zip(&refitted.spec().parameters)
+        {
             let [a, b] = [before, after].map(|parameter| parameter.distribution.build().unwrap());
             let off = (a.cdf(b.quantile(u)) - u).abs();
             assert!(off < 0.03, "{}: {off} at {u}", before.name);
         }
     }
-    let text = file::to_toml(&again).unwrap();
+    let text = file::to_toml(&refitted).unwrap();
     let read = file::from_toml(&text, Path::new("again.toml"), &NoDriverFiles).unwrap();
-    assert_eq!(read.draw(3, 4), again.draw(3, 4));
+    assert_eq!(read.draw(3, 4), refitted.draw(3, 4));
     let paired = ObservedData {
         braking_clusters: (0..2000).map(|index| index / 2).collect(),
         ..observed
     };
-    let one = resample(&paired, 1, 0);
+    let resampled = resample(&paired, 1, 0);
     assert_eq!(
-        (one.braking_clusters.len(), one.parameters[0].values.len()),
+        (
+            resampled.braking_clusters.len(),
+            resampled.parameters[0].values.len()
+        ),
         (2000, 2000)
     );
-    assert!(one.parameters[0].values.chunks(2).all(|pair| {
+    assert!(resampled.parameters[0].values.chunks(2).all(|pair| {
         let at = paired.parameters[0]
             .values
             .iter()
@@ -630,6 +640,6 @@ fn a_fit_to_draws_of_a_space_gives_the_space_back() {
             .unwrap();
         paired.parameters[0].values[at + 1] == pair[1]
     }));
-    assert_ne!(one, resample(&paired, 1, 1));
-    assert_eq!(one, resample(&paired, 1, 0));
+    assert_ne!(resampled, resample(&paired, 1, 1));
+    assert_eq!(resampled, resample(&paired, 1, 0));
 }

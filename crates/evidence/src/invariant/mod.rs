@@ -141,29 +141,28 @@ impl InvariantPlan {
         observer: &dyn Observer<InvariantProgress>,
     ) -> Result<Option<InvariantSet>, InvalidBox> {
         let [low, high] = self.claim.region_own_mps;
-        let (mut possible, mut impossible, mut best) = (low.max(0.0), high, None);
-        for attempt in 0..=SPEED_HALVINGS {
-            // The first attempt has the whole region.
-            let own_mps = if attempt == 0 {
-                high
-            } else {
-                0.5 * (possible + impossible)
-            };
+        // The first attempt has the whole region.
+        if let Some(set) = self.attempt(options, high, observer)? {
+            return Ok(Some(set));
+        }
+        let mut possible_mps = low.max(0.0);
+        let mut impossible_mps = high;
+        let mut best = None;
+        for _ in 0..SPEED_HALVINGS {
+            let own_mps = 0.5 * (possible_mps + impossible_mps);
             match self.attempt(options, own_mps, observer)? {
-                Some(found) if attempt == 0 => return Ok(Some(found)),
-                Some(found) => (possible, best) = (own_mps, Some(found)),
-                None => impossible = own_mps,
+                Some(set) => {
+                    possible_mps = own_mps;
+                    best = Some(set);
+                }
+                None => impossible_mps = own_mps,
             }
         }
         Ok(best)
     }
 
-    fn attempt(
-        &self,
-        options: InvariantOptions,
-        own_mps: f64,
-        observer: &dyn Observer<InvariantProgress>,
-    ) -> Result<Option<InvariantSet>, InvalidBox> {
+    /// Returns the claim with the axes of a table for initial own speeds up to `own_mps`, still without heights.
+    fn claim_with_axes(&self, options: InvariantOptions, own_mps: f64) -> InvariantClaim {
         let mut claim = InvariantClaim {
             splits: options.splits,
             ..self.claim.clone()
@@ -196,12 +195,18 @@ impl InvariantPlan {
             MotionModel::Relative => TableAxis::point(0.0),
         };
         claim.axes = [own, leader];
-        let lowest_m = claim.floor_m().max(options.smallest_gap_m);
-        let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
-        let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
-        // An invalid region is refused before the long part of the search.
-        claim.check_axes(&table).map_err(map_rejection)?;
-        claim.share(&table).map_err(map_rejection)?;
+        claim
+    }
+
+    /// Searches for a set of initial own speeds up to `own_mps`; `None` if there is none.
+    fn attempt(
+        &self,
+        options: InvariantOptions,
+        own_mps: f64,
+        observer: &dyn Observer<InvariantProgress>,
+    ) -> Result<Option<InvariantSet>, InvalidBox> {
+        let claim = self.claim_with_axes(options, own_mps);
+        let mut table = lowest_table(&claim, options.smallest_gap_m)?;
         let highest_m = claim
             .ends_beyond_gap_m
             .unwrap_or(HIGHEST_GAPS * claim.region_gap_m);
@@ -235,16 +240,7 @@ impl InvariantPlan {
         let Some(passes) = passes else {
             return Ok(None);
         };
-        claim.heights = table.to_runs();
-        claim.share_at_least = claim.share(&table).map_err(map_rejection)?;
-        // Rounded down to micrometres, so that other rounding in another version keeps the proof.
-        claim.min_gap_m_at_least = ((table.extremes()[0] - claim.floor_m()) * 1e6)
-            .floor()
-            .max(0.0)
-            / 1e6;
-        let ([scenario, spec], name) = (self.texts.clone(), self.scenario.spec().name.clone());
-        let statement = Statement::Invariant(Box::new(claim));
-        let certificate = build_certificate(name, Some(scenario), Some(spec), statement);
+        let certificate = self.certificate(claim, &table)?;
         Ok(Some(InvariantSet {
             table,
             certificate,
@@ -252,9 +248,31 @@ impl InvariantPlan {
             simulated_share,
         }))
     }
-}
 
-impl InvariantPlan {
+    /// Builds the certificate of a claim with the heights of a table.
+    fn certificate(
+        &self,
+        mut claim: InvariantClaim,
+        table: &HeightTable,
+    ) -> Result<Certificate, InvalidBox> {
+        claim.heights = table.to_runs();
+        claim.share_at_least = claim.share(table).map_err(map_rejection)?;
+        // Rounded down to micrometres, so that other rounding in another version keeps the proof.
+        claim.min_gap_m_at_least = ((table.extremes()[0] - claim.floor_m()) * 1e6)
+            .floor()
+            .max(0.0)
+            / 1e6;
+        let [scenario, spec] = self.texts.clone();
+        let name = self.scenario.spec().name.clone();
+        let statement = Statement::Invariant(Box::new(claim));
+        Ok(build_certificate(
+            name,
+            Some(scenario),
+            Some(spec),
+            statement,
+        ))
+    }
+
     /// Starts the controller so that it decides at each call.
     fn start(&self, claim: &InvariantClaim) -> Option<Box<dyn Controller>> {
         let ego = Ego {
@@ -266,6 +284,19 @@ impl InvariantPlan {
         };
         self.controller.start(&ego, 0).ok()
     }
+}
+
+/// Returns a table with the lowest allowed height everywhere.
+///
+/// # Errors
+/// [`InvalidBox`] for an invalid region, before the long part of the search.
+fn lowest_table(claim: &InvariantClaim, smallest_gap_m: f64) -> Result<HeightTable, InvalidBox> {
+    let lowest_m = claim.floor_m().max(smallest_gap_m);
+    let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
+    let table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
+    claim.check_axes(&table).map_err(map_rejection)?;
+    claim.share(&table).map_err(map_rejection)?;
+    Ok(table)
 }
 
 fn map_rejection(rejection: Rejection) -> InvalidBox {

@@ -40,8 +40,8 @@ impl InvariantPlan {
         }
         let [brake, accelerate] = self.claim.leader_mps2;
         if let Some(leader) = self.scenario.vehicles().first() {
-            let (max_brake_mps2, max_accel_mps2) =
-                (leader.max_brake_mps2(), leader.max_accel_mps2());
+            let max_brake_mps2 = leader.max_brake_mps2();
+            let max_accel_mps2 = leader.max_accel_mps2();
             if -brake > max_brake_mps2 || accelerate > max_accel_mps2 {
                 let name = &self.scenario.spec().name;
                 let problem = format!(
@@ -121,16 +121,13 @@ impl InvariantPlan {
     /// # Errors
     /// [`InvalidBox`] if a state cannot be simulated.
     pub fn defeat(&self, table: &HeightTable) -> Result<Option<Defeat>, InvalidBox> {
-        let mut found: Option<Defeat> = None;
+        let mut largest: Option<Defeat> = None;
         if self.claim.motion == MotionModel::Relative {
             return Ok(None);
         }
-        let speeds = |[low, high]: [f64; 2]| {
-            (0..=STATES_PER_SPEED)
-                .map(move |i| low + (high - low) * i as f64 / STATES_PER_SPEED as f64)
-        };
-        for own_mps in speeds([0.0, table.axes()[0].high.min(self.claim.region_own_mps[1])]) {
-            for leader_mps in speeds(self.claim.region_leader_mps) {
+        for own_mps in spread_speeds([0.0, table.axes()[0].high.min(self.claim.region_own_mps[1])])
+        {
+            for leader_mps in spread_speeds(self.claim.region_leader_mps) {
                 let Some(height_m) = table.height_at([own_mps, leader_mps]) else {
                     continue;
                 };
@@ -144,13 +141,20 @@ impl InvariantPlan {
                         leader_mps,
                         leader_accelerates_s,
                     };
-                    let is_larger = found.as_ref().is_none_or(|found| found.gap_m < state.gap_m);
+                    let is_larger = largest
+                        .as_ref()
+                        .is_none_or(|largest| largest.gap_m < state.gap_m);
                     if state.gap_m > 0.05 && is_larger && self.collides(&state)? {
-                        found = Some(state);
+                        largest = Some(state);
                     }
                 }
             }
         }
-        Ok(found)
+        Ok(largest)
     }
+}
+
+/// Returns equally spaced speeds of a range, with both ends.
+fn spread_speeds([low, high]: [f64; 2]) -> impl Iterator<Item = f64> {
+    (0..=STATES_PER_SPEED).map(move |i| low + (high - low) * i as f64 / STATES_PER_SPEED as f64)
 }

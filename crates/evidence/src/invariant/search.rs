@@ -57,58 +57,55 @@ impl BoundarySearch<'_> {
         observe: &mut dyn FnMut(InvariantStage, [usize; 2]) -> bool,
     ) -> Option<u32> {
         let cells: Vec<Node> = table.cells().collect();
-        let counts = table.axes().map(|axis| (axis.cells as usize).max(1));
-        let index = |[i, j]: Node| i * counts[1] + j;
-        let mut is_due = vec![true; cells.len()];
-        let mut reserves_m = vec![RESERVE_M; cells.len()];
-        for pass in 0..MAX_PASSES {
-            let mut failed = 0;
+        let mut agenda = Agenda::new(table, cells.len());
+        for pass in 1..=MAX_PASSES {
+            let mut is_changed = false;
             for &cell in &cells {
-                let stage = InvariantStage::Raise { pass: pass + 1 };
-                if cell[1] == 0
-                    && !observe(
-                        stage,
-                        [
-                            is_due.iter().filter(|is_due| !**is_due).count(),
-                            cells.len(),
-                        ],
-                    )
-                {
+                let stage = InvariantStage::Raise { pass };
+                if cell[1] == 0 && !observe(stage, [agenda.count_done(), cells.len()]) {
                     return None;
                 }
-                if !std::mem::take(&mut is_due[index(cell)]) {
-                    continue;
-                }
-                for attempt in 0.. {
-                    let Some(shortfall) = self.shortfall(table, cell, reserves_m[index(cell)])
-                    else {
-                        break;
-                    };
-                    failed += usize::from(attempt == 0);
-                    if attempt == MAX_ATTEMPTS {
-                        is_due[index(cell)] = true;
-                        break;
-                    }
-                    let limit_m = self.claim.ends_beyond_gap_m;
-                    for node in raise(table, &shortfall, self.highest_m, limit_m)? {
-                        mark_near(node, &shortfall, cell, counts, |near| {
-                            is_due[index(near)] = true
-                        });
-                    }
+                if agenda.take_due(cell) {
+                    is_changed |= self.raise_cell(table, cell, &mut agenda)?;
                 }
             }
-            if failed == 0 && !is_due.contains(&true) {
-                let rejected = self.claim.failing_cells(self.policy, table).ok()?;
-                if rejected.is_empty() {
-                    return Some(pass + 1);
-                }
-                for cell in rejected {
-                    reserves_m[cell] *= RESERVE_GROWTH;
-                    is_due[cell] = true;
-                }
+            if is_changed || agenda.is_due.contains(&true) {
+                continue;
+            }
+            let rejected = self.claim.failing_cells(self.policy, table).ok()?;
+            if rejected.is_empty() {
+                return Some(pass);
+            }
+            for cell in rejected {
+                agenda.reserves_m[cell] *= RESERVE_GROWTH;
+                agenda.is_due[cell] = true;
             }
         }
         None
+    }
+
+    /// Raises nodes until no state of a cell leaves the set, or the cell is due again after too many attempts. Returns
+    /// false if the cell needs no change; `None` above the height limit.
+    fn raise_cell(
+        &mut self,
+        table: &mut HeightTable,
+        cell: Node,
+        agenda: &mut Agenda,
+    ) -> Option<bool> {
+        let reserve_m = agenda.reserves_m[agenda.index(cell)];
+        for attempt in 0..MAX_ATTEMPTS {
+            let Some(shortfall) = self.shortfall(table, cell, reserve_m) else {
+                return Some(attempt > 0);
+            };
+            let limit_m = self.claim.ends_beyond_gap_m;
+            for node in raise(table, &shortfall, self.highest_m, limit_m)? {
+                agenda.mark_near(node, &shortfall, cell);
+            }
+        }
+        if self.shortfall(table, cell, reserve_m).is_some() {
+            agenda.mark(cell);
+        }
+        Some(true)
     }
 
     /// Returns a shortfall of a cell, if a state of it may leave the set.
@@ -169,22 +166,9 @@ impl BoundarySearch<'_> {
         if depth == 0 {
             return Some(worst);
         }
-        let length = |&(a, b): &(usize, usize)| {
-            let (a, b) = (points[a].0, points[b].0);
-            a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>()
-        };
-        let edges = (0..points.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
-        let (a, b) = edges.max_by(|one, other| length(one).total_cmp(&length(other)))?;
-        let mean = |a: f64, b: f64| 0.5 * (a + b);
-        let middle = (
-            std::array::from_fn(|axis| mean(points[a].0[axis], points[b].0[axis])),
-            mean(points[a].1, points[b].1),
-        );
-        [a, b].into_iter().find_map(|replaced| {
-            let mut half = points.to_vec();
-            half[replaced] = middle;
-            self.shortfall_of(table, &half, above_m, reserve_m, depth - 1)
-        })
+        bisect_longest_edge(points)?
+            .iter()
+            .find_map(|half| self.shortfall_of(table, half, above_m, reserve_m, depth - 1))
     }
 
     /// Returns the commands at a state, for the extreme accelerations that a network may observe.
@@ -196,23 +180,26 @@ impl BoundarySearch<'_> {
             0.0
         };
         let [speed_mps, leader_mps] = [own_mps - slowest, leader_mps - slowest];
-        let is_law = self.policy.is_none();
-        let of = |limits: [f64; 2]| if is_law { vec![0.0] } else { limits.to_vec() };
+        let [own_limits_mps2, leader_limits_mps2] = [self.claim.own_mps2, self.claim.leader_mps2]
+            .map(|limits| match self.policy {
+                None => vec![0.0],
+                Some(_) => limits.to_vec(),
+            });
         let mut range = [f64::INFINITY, f64::NEG_INFINITY];
-        for acceleration_mps2 in of(self.claim.own_mps2) {
-            for leader_mps2 in of(self.claim.leader_mps2) {
+        for acceleration_mps2 in own_limits_mps2 {
+            for &leader_mps2 in &leader_limits_mps2 {
                 let ahead = Neighbour {
                     gap_m,
                     speed_mps: leader_mps,
                     acceleration_mps2: leader_mps2,
                 };
-                let seen = Observation {
+                let observation = Observation {
                     speed_mps,
                     acceleration_mps2,
                     ahead: Some(ahead),
                     behind: None,
                 };
-                let command = self.controller.decide(&seen).unwrap_or(f64::NAN);
+                let command = self.controller.decide(&observation).unwrap_or(f64::NAN);
                 range = if command.is_nan() {
                     self.claim.own_mps2
                 } else {
@@ -247,36 +234,25 @@ fn raise(
 ) -> Option<Vec<Node>> {
     let order = table.orders()[shortfall.order].clone();
     let nodes = table.simplex(shortfall.cell, &order);
-    // Barycentric coordinates of the change.
-    let along = |position: usize| {
-        order.get(position).map_or(0.0, |&axis| {
-            let (of, first) = (table.axes()[axis], shortfall.cell[axis]);
-            shortfall.change[axis] / (of.node(first + 1) - of.node(first))
-        })
-    };
-    let coordinate = |position: usize| {
-        if position == 0 {
-            -along(0)
-        } else {
-            along(position - 1) - along(position)
-        }
-    };
+    let edges = changes_along_edges(table, shortfall, &order);
+    let coordinates = barycentric_coordinates(&edges);
     // The leader moves either way: if the own motion alone fails, only a node from which this motion leads away helps.
     let leader_rise_m = order
         .iter()
         .position(|&axis| axis == 1)
         .map_or(0.0, |position| {
             (table.node_height(nodes[position + 1]) - table.node_height(nodes[position]))
-                * along(position)
+                * edges[position]
         });
     let own_fails = shortfall.missing_m > leader_rise_m;
-    let is_behind =
-        |position: usize| (nodes[position][0] > shortfall.cell[0]) == (shortfall.change[0] < 0.0);
-    let choices = (0..nodes.len()).filter(|&position| !own_fails || is_behind(position));
+    let choices = (0..nodes.len()).filter(|&position| {
+        let is_faster = nodes[position][0] > shortfall.cell[0];
+        !own_fails || is_faster == (shortfall.change[0] < 0.0)
+    });
     let upstream = choices
-        .min_by(|&a, &b| coordinate(a).total_cmp(&coordinate(b)))
+        .min_by(|&a, &b| coordinates[a].total_cmp(&coordinates[b]))
         .unwrap_or(0);
-    let gain = -coordinate(upstream);
+    let gain = -coordinates[upstream];
     let rise_m = (shortfall.missing_m / gain).clamp(HEIGHT_UNIT_M, MAX_RISE_M);
     let raised = if gain > 1e-9 {
         vec![nodes[upstream]]
@@ -298,19 +274,91 @@ fn raise(
     Some(raised)
 }
 
-/// Calls `mark` for all cells that may depend on a node: those as near as the failing simplex is to its cell.
-fn mark_near(
-    node: Node,
-    shortfall: &Shortfall,
-    cell: Node,
+/// Returns the change of a state along each edge of a path through its simplex, in lengths of the edge.
+fn changes_along_edges(table: &HeightTable, shortfall: &Shortfall, order: &[usize]) -> Vec<f64> {
+    let changes = order.iter().map(|&axis| {
+        let table_axis = table.axes()[axis];
+        let first = shortfall.cell[axis];
+        shortfall.change[axis] / (table_axis.node(first + 1) - table_axis.node(first))
+    });
+    changes.collect()
+}
+
+/// Returns the barycentric coordinates of a change, one for each node of the path.
+fn barycentric_coordinates(edges: &[f64]) -> Vec<f64> {
+    let mut edges = edges.to_vec();
+    edges.push(0.0);
+    let later = edges.windows(2).map(|pair| pair[0] - pair[1]);
+    std::iter::once(-edges[0]).chain(later).collect()
+}
+
+/// Returns both halves of a simplex; `None` if it has no edge.
+fn bisect_longest_edge(points: &[Point]) -> Option<[Vec<Point>; 2]> {
+    let edges = (0..points.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
+    let [a, b] = edges.max_by(|first, second| {
+        edge_length(points, *first).total_cmp(&edge_length(points, *second))
+    })?;
+    let middle = (
+        std::array::from_fn(|axis| 0.5 * (points[a].0[axis] + points[b].0[axis])),
+        0.5 * (points[a].1 + points[b].1),
+    );
+    Some([a, b].map(|replaced| {
+        let mut half = points.to_vec();
+        half[replaced] = middle;
+        half
+    }))
+}
+
+fn edge_length(points: &[Point], edge: [usize; 2]) -> f64 {
+    let [a, b] = edge.map(|end| points[end].0);
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>()
+}
+
+/// Cells that a search must still look at, and their reserves.
+struct Agenda {
     counts: Node,
-    mut mark: impl FnMut(Node),
-) {
-    let near = |axis: usize| {
-        let distance = shortfall.cell[axis].abs_diff(cell[axis]) + 2;
-        node[axis].saturating_sub(distance + 1)..(node[axis] + distance).min(counts[axis])
-    };
-    for i in near(0) {
-        near(1).for_each(|j| mark([i, j]));
+    is_due: Vec<bool>,
+    reserves_m: Vec<f64>,
+}
+
+impl Agenda {
+    fn new(table: &HeightTable, cells: usize) -> Self {
+        Self {
+            counts: table.axes().map(|axis| (axis.cells as usize).max(1)),
+            is_due: vec![true; cells],
+            reserves_m: vec![RESERVE_M; cells],
+        }
+    }
+
+    fn index(&self, [i, j]: Node) -> usize {
+        i * self.counts[1] + j
+    }
+
+    fn count_done(&self) -> usize {
+        self.is_due.iter().filter(|is_due| !**is_due).count()
+    }
+
+    fn take_due(&mut self, cell: Node) -> bool {
+        let index = self.index(cell);
+        std::mem::take(&mut self.is_due[index])
+    }
+
+    fn mark(&mut self, cell: Node) {
+        let index = self.index(cell);
+        self.is_due[index] = true;
+    }
+
+    /// Marks all cells that may depend on a node: those as near as the failing simplex is to its cell.
+    fn mark_near(&mut self, node: Node, shortfall: &Shortfall, cell: Node) {
+        let [rows, columns] = std::array::from_fn(|axis| {
+            let distance = shortfall.cell[axis].abs_diff(cell[axis]) + 2;
+            let end = (node[axis] + distance).min(self.counts[axis]);
+            node[axis].saturating_sub(distance + 1)..end
+        });
+        for i in rows {
+            for j in columns.clone() {
+                self.mark([i, j]);
+            }
+        }
     }
 }

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use crumple_core::digest::sha256;
 use crumple_core::text_file::{self, FileError};
-use crumple_sim::scenario::{Driver, Scenario};
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::{Driver, Scenario, VehicleSpec};
 use crumple_verify::InvariantClaim;
 use crumple_verify::invariant::table::TableAxis;
 use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
@@ -60,45 +61,16 @@ impl InvariantSpec {
         scenario: &Scenario,
         policy: Option<&[u8]>,
     ) -> Result<InvariantClaim, InvalidBox> {
-        let wrong = |why: &str| InvalidBox::field("scenario", why);
-        let ego = scenario
-            .vehicles()
-            .get(1)
-            .ok_or_else(|| wrong("has too few vehicles"))?;
-        let is_plain = ego.acceleration_noise_mps2 == 0.0
-            && ego.response().is_immediate()
-            && ego.multi_body().is_none()
-            && ego.keeps_lane();
-        if ego.driver != Driver::UnderTest || !is_plain {
-            return Err(wrong(
-                "the second vehicle must be under test, stay in the lane, and have no noise, delay, lag or limited \
-                 jerk, and the plant `point-mass`",
-            ));
-        }
-        let own_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
+        let ego = vehicle_under_test(scenario)?;
         let step_s = scenario.spec().step_s;
-        let (controller, decision_steps) = match (&self.controller, policy) {
-            (Some(Driver::Controller(spec)), None) => {
-                let law = control_law(spec, ego.max_accel_mps2()).ok_or_else(|| {
-                    InvalidBox::Controller(format!(
-                        "must be idm, acc-aeb, a policy or a network, found {}",
-                        spec.name()
-                    ))
-                })?;
-                (InvariantController::Law(law), 1)
+        let ClaimedController {
+            controller,
+            decision_steps,
+        } = match (&self.controller, policy) {
+            (Some(Driver::Controller(law)), None) => {
+                ClaimedController::from_law(law, ego.max_accel_mps2())?
             }
-            (None, Some(bytes)) => {
-                let network =
-                    NeuralController::from_bytes(bytes).map_err(InvalidBox::Controller)?;
-                let digest = sha256(bytes);
-                let reference = NetworkReference {
-                    policy_file: controller_file_name(&digest, network.source.is_some()),
-                    policy_sha256: digest,
-                    source: network.source.clone(),
-                };
-                let steps = (network.decision_interval_s / step_s).round();
-                (InvariantController::Network(reference), steps as u32)
-            }
+            (None, Some(bytes)) => ClaimedController::from_policy(bytes, step_s)?,
             _ => {
                 return Err(InvalidBox::Controller(
                     "must be either a law or a policy".to_owned(),
@@ -110,7 +82,7 @@ impl InvariantSpec {
             controller,
             step_s,
             decision_steps,
-            own_mps2,
+            own_mps2: [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()],
             leader_mps2: self.leader_mps2,
             observation_error: self.observation_error,
             region_gap_m: self.region_gap_m,
@@ -123,6 +95,59 @@ impl InvariantSpec {
             heights: Vec::new(),
             share_at_least: 0.0,
             min_gap_m_at_least: 0.0,
+        })
+    }
+}
+
+/// Returns the second vehicle of a scenario, if the checker models it.
+fn vehicle_under_test(scenario: &Scenario) -> Result<&VehicleSpec, InvalidBox> {
+    let Some(ego) = scenario.vehicles().get(1) else {
+        return Err(InvalidBox::field("scenario", "has too few vehicles"));
+    };
+    let is_plain = ego.acceleration_noise_mps2 == 0.0
+        && ego.response().is_immediate()
+        && ego.multi_body().is_none()
+        && ego.keeps_lane();
+    if ego.driver != Driver::UnderTest || !is_plain {
+        return Err(InvalidBox::field(
+            "scenario",
+            "the second vehicle must be under test, stay in the lane, and have no noise, delay, lag or limited \
+             jerk, and the plant `point-mass`",
+        ));
+    }
+    Ok(ego)
+}
+
+/// Controller of a claim, and the number of simulation steps between its decisions.
+struct ClaimedController {
+    controller: InvariantController,
+    decision_steps: u32,
+}
+
+impl ClaimedController {
+    fn from_law(law: &BuiltInController, max_accel_mps2: f64) -> Result<Self, InvalidBox> {
+        match control_law(law, max_accel_mps2) {
+            Some(law) => Ok(Self {
+                controller: InvariantController::Law(law),
+                decision_steps: 1,
+            }),
+            None => Err(InvalidBox::Controller(format!(
+                "must be idm, acc-aeb, a policy or a network, found {}",
+                law.name()
+            ))),
+        }
+    }
+
+    fn from_policy(bytes: &[u8], step_s: f64) -> Result<Self, InvalidBox> {
+        let network = NeuralController::from_bytes(bytes).map_err(InvalidBox::Controller)?;
+        let digest = sha256(bytes);
+        Ok(Self {
+            decision_steps: (network.decision_interval_s / step_s).round() as u32,
+            controller: InvariantController::Network(NetworkReference {
+                policy_file: controller_file_name(&digest, network.source.is_some()),
+                policy_sha256: digest,
+                source: network.source,
+            }),
         })
     }
 }

@@ -144,7 +144,9 @@ proptest! {
     #![proptest_config(crumple_cases::with_cases(256))]
 
     #[test]
-    fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
+    fn certificates_of_any_pair_are_accepted(
+        b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64,
+    ) {
         let kernel = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c };
         let certificate = kernel_certificate(&kernel, 0.01, 1e-6).unwrap();
         prop_assert_eq!(check(&certificate), Ok(ProvedClaim::Kernel));

@@ -13,7 +13,7 @@ use crumple_sim::engine::{
     NamedController, RefusedController, Run, RunError, RunOptions, simulate_batch,
 };
 use crumple_sim::observation::EstimatorKind;
-use crumple_sim::scenario::InvalidField;
+use crumple_sim::scenario::{InvalidField, Scenario};
 use crumple_spaces::ScenarioSpace;
 use crumple_store::run_folder::RunFolderError;
 
@@ -103,17 +103,9 @@ impl LimitState for RarePlan {
     }
 
     fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, RareError> {
-        let scenario = |state: &RandomInputs| {
-            let uniform: Vec<f64> = state.normal.iter().map(|&x| normal_cdf(x)).collect();
-            let seed = state.noise.first().map_or(0, |share| share.seed);
-            let scenario = self
-                .space
-                .scenario_at_with_seed(&self.space.quantile(&uniform), seed)?;
-            Ok(scenario.with_noise_shares(&state.noise))
-        };
         let scenarios = states
             .par_iter()
-            .map(scenario)
+            .map(|state| self.scenario(state))
             .collect::<Result<Vec<_>, InvalidField>>()?;
         let specification = &self.specification;
         let options = RunOptions::new(self.controller.source.clone())
@@ -137,17 +129,26 @@ impl LimitState for RarePlan {
 }
 
 impl RarePlan {
-    /// Returns the rates per exposure, if the space states it. `again` estimates in another space.
+    fn scenario(&self, state: &RandomInputs) -> Result<Scenario, InvalidField> {
+        let uniform: Vec<f64> = state.normal.iter().map(|&x| normal_cdf(x)).collect();
+        let seed = state.noise.first().map_or(0, |share| share.seed);
+        let scenario = self
+            .space
+            .scenario_at_with_seed(&self.space.quantile(&uniform), seed)?;
+        Ok(scenario.with_noise_shares(&state.noise))
+    }
+
+    /// Returns the rates per exposure, if the space states it. `estimate_in` estimates in another space.
     pub(super) fn rate_per_exposure(
         &self,
         estimate: &RareEstimate,
         resamples: u32,
-        again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, RareError>,
+        estimate_in: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, RareError>,
     ) -> Result<Option<RatePerExposure>, RareError> {
         if self.space.spec().exposure.is_none() {
             return Ok(None);
         }
-        let resamples = estimate_on_resamples(&self.space, self.seed, resamples, again)?;
+        let resamples = estimate_on_resamples(&self.space, self.seed, resamples, estimate_in)?;
         Ok(RatePerExposure::new(
             &self.space,
             FailureProbability::Estimated(estimate),
@@ -161,16 +162,15 @@ impl RarePlan {
         seed: u64,
         counter: &ProgressCounter<'_>,
     ) -> Result<RareEstimate, RareError> {
-        let (controller, specification) = (self.controller.clone(), self.specification.clone());
-        let other = Self {
-            controller,
+        let plan = Self {
+            controller: self.controller.clone(),
             space: space.clone(),
-            specification,
+            specification: self.specification.clone(),
             seed,
             effort: RESAMPLE_EFFORT,
             ..*self
         };
-        SplittingLevels::run_pilots(&other, other.effort, seed, counter)?.estimate(&other, counter)
+        SplittingLevels::run_pilots(&plan, plan.effort, seed, counter)?.estimate(&plan, counter)
     }
 
     /// Returns the report of an estimate, without rates per hour.

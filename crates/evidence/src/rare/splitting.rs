@@ -34,6 +34,7 @@ const TARGET_ACCEPTANCE: f64 = 0.44;
 /// Gain of the pilot's step adaptation to acceptance.
 const STEP_ADAPTATION_RATE: f64 = 1.5;
 const MIN_STEP: f64 = 0.02;
+const FIRST_STEP: f64 = 0.5;
 
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RandomInputs {
@@ -139,7 +140,7 @@ impl SplittingLevels {
         counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
         let mut pilot = Self::run_pilot(problem, effort, seed, 0, counter)?;
-        let first = (pilot.pilot_draws, pilot.pilot_failures);
+        let [first_draws, first_failures] = [pilot.pilot_draws, pilot.pilot_failures];
         for attempt in 1..PILOT_FACTORS.len() {
             if pilot.reaches_failure {
                 break;
@@ -147,12 +148,12 @@ impl SplittingLevels {
             let next = Self::run_pilot(problem, effort, seed, attempt, counter)?;
             // Earlier samples decide if a further pilot runs, so its samples may not be pooled with them. If
             // repetitions follow, only the first pilot's samples count.
-            let (draws, failures) = match next.reaches_failure {
-                true => first,
-                false => (
+            let [draws, failures] = match next.reaches_failure {
+                true => [first_draws, first_failures],
+                false => [
                     pilot.pilot_draws + next.pilot_draws,
                     pilot.pilot_failures + next.pilot_failures,
-                ),
+                ],
             };
             pilot = Self {
                 pilot_runs: pilot.pilot_runs + next.pilot_runs,
@@ -164,6 +165,10 @@ impl SplittingLevels {
         Ok(pilot)
     }
 
+    /// Runs a pilot, which places the levels down to a failure.
+    ///
+    /// # Errors
+    /// Errors of the problem.
     pub(super) fn run_pilot<P: LimitState>(
         problem: &P,
         effort: SplittingConfig,
@@ -173,100 +178,72 @@ impl SplittingLevels {
     ) -> Result<Self, P::Error> {
         let effort = effort.clamped();
         let samples = effort.samples * PILOT_FACTORS.get(attempt).copied().unwrap_or(1);
-        let own = if attempt == 0 {
+        let stream_number = if attempt == 0 {
             0
         } else {
             LATER_PILOT_STREAM_OFFSET + attempt as u64
         };
-        let mut climber = ParticlePopulation::new(
-            problem,
-            samples,
-            stream(seed, Purpose::RareEvents, own),
-            counter,
-        );
-        let mut population = climber.sample_initial()?;
-        let (pilot_draws, pilot_failures) = (samples as u64, count_failures(&population));
-        let (stages, pilot_levels) = (Vec::new(), Vec::new());
+        let random = stream(seed, Purpose::RareEvents, stream_number);
+        let mut particles = ParticlePopulation::new(problem, samples, random, counter);
+        let mut population = particles.sample_initial()?;
         let mut pilot = Self {
             effort,
             seed,
-            stages,
+            stages: Vec::new(),
             pilot_runs: 0,
-            pilot_draws,
-            pilot_failures,
+            pilot_draws: samples as u64,
+            pilot_failures: count_failures(&population),
             reaches_failure: false,
-            pilot_levels,
+            pilot_levels: Vec::new(),
         };
-        let (mut step, mut probability, mut before) = (0.5, 1.0, f64::INFINITY);
-        let passing = (LEVEL_SHARE * samples as f64).ceil() as usize;
-        loop {
-            if count_failures(&population) >= passing as u64 {
-                pilot.stages.push(SplittingStage::LAST);
-                pilot.reaches_failure = true;
-                break;
-            }
-            let mut margins: Vec<f64> = population.iter().map(|(_, margin)| *margin).collect();
-            margins.sort_by(f64::total_cmp);
-            let quantile = margins.get(passing - 1).copied().unwrap_or(f64::INFINITY);
-            // If most of the population has the same margin, the level is the next smaller margin, even if few runs
-            // pass.
-            let plateau = before.min(margins.last().copied().unwrap_or(before));
-            let below = margins
-                .iter()
-                .rev()
-                .copied()
-                .find(|margin| *margin < plateau);
-            let Some(threshold) = (if quantile < plateau {
-                Some(quantile)
-            } else {
-                below
-            }) else {
-                break;
-            };
-            if threshold < 0.0 {
-                pilot.stages.push(SplittingStage::LAST);
-                pilot.reaches_failure = true;
-                break;
-            }
-            if pilot.stages.len() == MAX_LEVELS {
-                break;
-            }
-            let mut stage = SplittingStage {
-                threshold,
-                is_last: false,
-                step,
-            };
-            let survivors: Vec<Particle> = population
-                .into_iter()
-                .filter(|(_, margin)| stage.passes(*margin))
-                .collect();
+        while let Some(mut stage) = pilot.place_next_stage(&population, samples) {
+            let survivors = stage.survivors(population);
             let share = survivors.len() as f64 / samples as f64;
-            probability *= share;
-            population = climber.resample(survivors);
-            let (mut accepted, mut proposed) = (0, 0);
-            for _ in 0..MOVES_PER_LEVEL {
-                let (taken, tried) = climber.mcmc_move(&mut population, &stage)?;
-                let acceptance = taken as f64 / tried.max(1) as f64;
-                stage.step = (stage.step
-                    * (STEP_ADAPTATION_RATE * (acceptance - TARGET_ACCEPTANCE)).exp())
-                .clamp(MIN_STEP, 1.0);
-                (accepted, proposed) = (accepted + taken, proposed + tried);
-            }
-            (step, before) = (stage.step, threshold);
-            pilot.stages.push(stage);
-            let acceptance = Some(accepted as f64 / proposed.max(1) as f64);
-            let step = Some(step);
+            population = particles.resample(survivors);
+            let moves = particles.move_and_adapt_step(&mut population, &mut stage)?;
+            let probability_before = pilot
+                .pilot_levels
+                .last()
+                .map_or(1.0, |level| level.probability);
             pilot.pilot_levels.push(Level {
-                margin: threshold,
-                probability,
+                margin: stage.threshold,
+                probability: probability_before * share,
                 share,
-                step,
-                acceptance,
+                step: Some(stage.step),
+                acceptance: Some(moves.acceptance()),
                 ..Level::default()
             });
+            pilot.stages.push(stage);
         }
-        pilot.pilot_runs = climber.evaluations;
+        pilot.pilot_runs = particles.evaluations;
         Ok(pilot)
+    }
+
+    /// Returns the next stage, before its step is adapted. At a failure, or if no level can follow, returns `None`,
+    /// after it has added the last stage if there is one.
+    fn place_next_stage(
+        &mut self,
+        population: &[Particle],
+        samples: usize,
+    ) -> Option<SplittingStage> {
+        let before = self.stages.last();
+        let step = before.map_or(FIRST_STEP, |stage| stage.step);
+        let threshold_before = before.map_or(f64::INFINITY, |stage| stage.threshold);
+        match NextLevel::after(population, samples, threshold_before) {
+            NextLevel::Failure => {
+                self.stages.push(SplittingStage::LAST);
+                self.reaches_failure = true;
+                None
+            }
+            NextLevel::Threshold(threshold) if self.stages.len() < MAX_LEVELS => {
+                Some(SplittingStage {
+                    threshold,
+                    is_last: false,
+                    step,
+                })
+            }
+            NextLevel::Threshold(_) | NextLevel::Stuck => None,
+        }
     }
 
     /// True if the pilot reached a failure.
@@ -312,18 +289,14 @@ impl SplittingLevels {
             0
         };
         let repetitions = repetitions.start..repetitions.end.min(planned);
-        let repeat = |index: u64| {
-            let random = stream(self.seed, Purpose::RareEvents, 1 + index);
-            let mut climber =
-                ParticlePopulation::new(problem, self.effort.samples, random, counter);
-            let (initial_failures, levels) = climber.climb(&self.stages)?;
-            Ok(Repetition {
-                initial_failures,
-                levels,
-                evaluations: climber.evaluations,
+        repetitions
+            .into_par_iter()
+            .map(|index| {
+                let random = stream(self.seed, Purpose::RareEvents, 1 + index);
+                ParticlePopulation::new(problem, self.effort.samples, random, counter)
+                    .descend(&self.stages)
             })
-        };
-        repetitions.into_par_iter().map(repeat).collect()
+            .collect()
     }
 
     /// Runs all repetitions. The result does not depend on the number of threads.
@@ -340,9 +313,9 @@ impl SplittingLevels {
 
     /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
     pub(super) fn repetitions_per_write(&self) -> u64 {
-        let each = (self.planned_runs() / self.effort.repetitions.max(1) as u64).max(1);
+        let runs_each = (self.planned_runs() / self.effort.repetitions.max(1) as u64).max(1);
         MIN_RUNS_PER_WRITE
-            .div_ceil(each)
+            .div_ceil(runs_each)
             .max(rayon::current_num_threads() as u64)
     }
 
@@ -352,77 +325,156 @@ impl SplittingLevels {
 
     pub(super) fn is_consistent_with(&self, repetitions: &[Repetition]) -> bool {
         let samples = self.effort.samples as u64;
-        let moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
-        let is_share = |seen: &LevelStats| {
-            (0.0..=1.0).contains(&seen.share)
-                && seen.accepted <= seen.proposed
-                && seen.proposed <= moves
-        };
-        let may_be = |one: &Repetition| {
-            let most = moves
-                .saturating_mul(self.stages.len() as u64)
-                .saturating_add(samples);
-            let is_short = one.levels.len() <= self.stages.len() && one.initial_failures <= samples;
-            is_short && one.levels.iter().all(is_share) && one.evaluations <= most
-        };
-        repetitions.iter().all(may_be)
+        let max_moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
+        let max_evaluations = max_moves
+            .saturating_mul(self.stages.len() as u64)
+            .saturating_add(samples);
+        repetitions.iter().all(|repetition| {
+            repetition.levels.len() <= self.stages.len()
+                && repetition.initial_failures <= samples
+                && repetition.evaluations <= max_evaluations
+                && repetition
+                    .levels
+                    .iter()
+                    .all(|level| level.is_possible(max_moves))
+        })
     }
 
     /// Returns the estimate from all repetitions, in order.
     #[must_use]
-    pub fn summary(&self, repeated: Vec<Repetition>) -> RareEstimate {
-        let independent_runs = (1 + repeated.len() as u64) * self.effort.samples as u64;
-        let independent_failures = repeated
-            .iter()
-            .map(|one| one.initial_failures)
-            .fold(self.pilot_failures, u64::saturating_add);
+    pub fn summary(&self, repetitions: Vec<Repetition>) -> RareEstimate {
         if !self.reaches_failure {
             return self.pilot_estimate();
         }
-        let evaluations = repeated
+        let independent_failures = repetitions
             .iter()
-            .map(|one| one.evaluations)
+            .map(|repetition| repetition.initial_failures)
+            .fold(self.pilot_failures, u64::saturating_add);
+        let evaluations = repetitions
+            .iter()
+            .map(|repetition| repetition.evaluations)
             .fold(self.pilot_runs, u64::saturating_add);
-        let seen: Vec<Vec<LevelStats>> = repeated.into_iter().map(|one| one.levels).collect();
-        let product = |seen: &Vec<LevelStats>, levels: usize| -> f64 {
-            if seen.len() < levels {
-                0.0
-            } else {
-                seen.iter().take(levels).map(|seen| seen.share).product()
-            }
-        };
-        let levels = self.stages.iter().enumerate().map(|(index, stage)| {
-            let here: Vec<&LevelStats> = seen.iter().filter_map(|seen| seen.get(index)).collect();
-            let sum =
-                |of: fn(&&LevelStats) -> u64| here.iter().map(of).fold(0, u64::saturating_add);
-            let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
-            Level {
-                margin: stage.threshold,
-                probability: mean(
-                    &seen
-                        .iter()
-                        .map(|seen| product(seen, index + 1))
-                        .collect::<Vec<_>>(),
-                ),
-                share: mean(&here.iter().map(|seen| seen.share).collect::<Vec<_>>()),
-                step: (!stage.is_last).then_some(stage.step),
-                acceptance: (proposed > 0).then(|| accepted as f64 / proposed as f64),
-                ..Level::default()
-            }
-        });
-        let levels: Vec<Level> = levels.collect();
-        let repetitions: Vec<f64> = seen
-            .iter()
-            .map(|seen| product(seen, self.stages.len()))
-            .collect();
-        let begun = RareEstimate {
+        let stages = self.stages.iter().enumerate();
+        let estimate = RareEstimate {
             evaluations,
-            independent_runs,
+            independent_runs: (1 + repetitions.len() as u64) * self.effort.samples as u64,
             independent_failures,
-            levels,
+            levels: stages
+                .map(|(index, stage)| stage.summary(index, &repetitions))
+                .collect(),
             ..RareEstimate::default()
         };
-        begun.with_repetitions(repetitions)
+        estimate.with_repetitions(probabilities_down_to(&repetitions, self.stages.len()))
+    }
+}
+
+impl LevelStats {
+    /// True if a population can have these statistics after at most `max_moves` moves.
+    fn is_possible(&self, max_moves: u64) -> bool {
+        (0.0..=1.0).contains(&self.share)
+            && self.accepted <= self.proposed
+            && self.proposed <= max_moves
+    }
+}
+
+impl SplittingStage {
+    /// Returns the particles that pass this level.
+    fn survivors(&self, population: Vec<Particle>) -> Vec<Particle> {
+        population
+            .into_iter()
+            .filter(|(_, margin)| self.passes(*margin))
+            .collect()
+    }
+
+    /// Returns the means of the repetitions at this stage, the `index`-th one.
+    fn summary(&self, index: usize, repetitions: &[Repetition]) -> Level {
+        let mut shares = Vec::new();
+        let mut moves = MoveCounts::default();
+        for stats in repetitions
+            .iter()
+            .filter_map(|repetition| repetition.levels.get(index))
+        {
+            shares.push(stats.share);
+            moves.add(MoveCounts {
+                accepted: stats.accepted,
+                proposed: stats.proposed,
+            });
+        }
+        Level {
+            margin: self.threshold,
+            probability: mean(&probabilities_down_to(repetitions, index + 1)),
+            share: mean(&shares),
+            step: (!self.is_last).then_some(self.step),
+            acceptance: (moves.proposed > 0).then(|| moves.acceptance()),
+            ..Level::default()
+        }
+    }
+}
+
+/// Returns the probability that each repetition estimates for reaching a number of levels: the product of the shares,
+/// or 0 if its population did not reach them.
+fn probabilities_down_to(repetitions: &[Repetition], levels: usize) -> Vec<f64> {
+    let probabilities = repetitions.iter().map(|repetition| {
+        if repetition.levels.len() < levels {
+            return 0.0;
+        }
+        let reached = repetition.levels.iter().take(levels);
+        reached.map(|stats| stats.share).product()
+    });
+    probabilities.collect()
+}
+
+/// Next level of a pilot.
+enum NextLevel {
+    /// Enough of the population fails, or its level lies below zero.
+    Failure,
+    /// Margin down to which the population passes.
+    Threshold(f64),
+    /// No margin is smaller than the earlier level.
+    Stuck,
+}
+
+impl NextLevel {
+    /// Places the level after `threshold_before`: the quantile of the margins that [`LEVEL_SHARE`] of the population
+    /// passes.
+    fn after(population: &[Particle], samples: usize, threshold_before: f64) -> Self {
+        let passing = (LEVEL_SHARE * samples as f64).ceil() as usize;
+        if count_failures(population) >= passing as u64 {
+            return Self::Failure;
+        }
+        let mut margins: Vec<f64> = population.iter().map(|(_, margin)| *margin).collect();
+        margins.sort_by(f64::total_cmp);
+        let quantile = margins.get(passing - 1).copied().unwrap_or(f64::INFINITY);
+        // If most of the population has the same margin, the level is the next smaller margin, even if few runs pass.
+        let plateau = threshold_before.min(margins.last().copied().unwrap_or(threshold_before));
+        let threshold = if quantile < plateau {
+            Some(quantile)
+        } else {
+            margins.into_iter().rev().find(|margin| *margin < plateau)
+        };
+        match threshold {
+            Some(threshold) if threshold < 0.0 => Self::Failure,
+            Some(threshold) => Self::Threshold(threshold),
+            None => Self::Stuck,
+        }
+    }
+}
+
+/// Numbers of moves, without those that resampled all noise.
+#[derive(Clone, Copy, Default)]
+struct MoveCounts {
+    accepted: u64,
+    proposed: u64,
+}
+
+impl MoveCounts {
+    fn add(&mut self, more: Self) {
+        self.accepted = self.accepted.saturating_add(more.accepted);
+        self.proposed = self.proposed.saturating_add(more.proposed);
+    }
+
+    fn acceptance(self) -> f64 {
+        self.accepted as f64 / self.proposed.max(1) as f64
     }
 }
 
@@ -446,7 +498,8 @@ impl RareEstimate {
     /// Returns a confidence interval of the probability, computed as [`Self::interval_95`].
     #[must_use]
     pub fn interval(&self, confidence: f64) -> Option<[f64; 2]> {
-        let (probability, variation) = (self.probability?, self.coefficient_of_variation?);
+        let probability = self.probability?;
+        let variation = self.coefficient_of_variation?;
         match self.counted_failures() {
             Some((failures, runs)) => {
                 let RateInterval { lower, upper } =
@@ -461,24 +514,24 @@ impl RareEstimate {
     /// all runs fail, the spread is zero and meaningless.
     fn counted_failures(&self) -> Option<(u64, u64)> {
         let repetitions = self.repetitions.len() as u64;
-        let each = self.independent_runs / (1 + repetitions);
-        let is_counted = self.levels.len() == 1 && each > 0 && repetitions > 0;
+        let runs_each = self.independent_runs / (1 + repetitions);
+        let is_counted = self.levels.len() == 1 && runs_each > 0 && repetitions > 0;
         is_counted.then(|| {
             let failures = self
                 .repetitions
                 .iter()
-                .map(|share| (share * each as f64).round() as u64)
+                .map(|share| (share * runs_each as f64).round() as u64)
                 .sum();
-            (failures, each * repetitions)
+            (failures, runs_each * repetitions)
         })
     }
 
     /// Returns the Clopper-Pearson interval of the independent initial samples; `None` if their number is unknown.
     #[must_use]
     pub fn independent_interval(&self, confidence: f64) -> Option<[f64; 2]> {
-        let (failures, runs) = (self.independent_failures, self.independent_runs);
-        let RateInterval { lower, upper } =
-            (runs > 0).then(|| RateInterval::clopper_pearson(failures, runs, confidence))?;
+        let runs = self.independent_runs;
+        let RateInterval { lower, upper } = (runs > 0)
+            .then(|| RateInterval::clopper_pearson(self.independent_failures, runs, confidence))?;
         Some([lower, upper])
     }
 }
@@ -506,54 +559,43 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         }
     }
 
-    /// Moves a population down the levels, and returns the number of failed initial runs and the statistics of each
-    /// level that the population reached.
-    fn climb(&mut self, stages: &[SplittingStage]) -> Result<(u64, Vec<LevelStats>), P::Error> {
+    /// Moves a population down the levels. The repetition has the statistics of each level that the population
+    /// reached.
+    fn descend(mut self, stages: &[SplittingStage]) -> Result<Repetition, P::Error> {
         let mut population = self.sample_initial()?;
-        let failures = count_failures(&population);
+        let initial_failures = count_failures(&population);
         let mut levels = Vec::with_capacity(stages.len());
         for stage in stages {
-            let survivors: Vec<Particle> = population
-                .into_iter()
-                .filter(|(_, margin)| stage.passes(*margin))
-                .collect();
+            let survivors = stage.survivors(population);
             let share = survivors.len() as f64 / self.samples as f64;
-            let mut here = LevelStats {
-                share,
-                accepted: 0,
-                proposed: 0,
-            };
+            let mut moves = MoveCounts::default();
             population = self.resample(survivors);
             if !stage.is_last && !population.is_empty() {
                 for _ in 0..MOVES_PER_LEVEL {
-                    let (accepted, proposed) = self.mcmc_move(&mut population, stage)?;
-                    here = LevelStats {
-                        accepted: here.accepted + accepted,
-                        proposed: here.proposed + proposed,
-                        ..here
-                    };
+                    moves.add(self.mcmc_move(&mut population, stage)?);
                 }
             }
-            levels.push(here);
+            levels.push(LevelStats {
+                share,
+                accepted: moves.accepted,
+                proposed: moves.proposed,
+            });
             if population.is_empty() {
                 break;
             }
         }
-        Ok((failures, levels))
+        Ok(Repetition {
+            initial_failures,
+            levels,
+            evaluations: self.evaluations,
+        })
     }
 
     fn sample_initial(&mut self) -> Result<Vec<Particle>, P::Error> {
         let dimension = self.problem.dimension();
-        let draw = |random: &mut Stream| RandomInputs {
-            normal: (0..dimension)
-                .map(|_| StandardNormal.sample(random))
-                .collect(),
-            noise: vec![NoiseShare {
-                seed: new_noise_seed(random),
-                weight: 1.0,
-            }],
-        };
-        let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
+        let states: Vec<RandomInputs> = (0..self.samples)
+            .map(|_| RandomInputs::sample(dimension, &mut self.random))
+            .collect();
         let margins = self.evaluate_margins(&states)?;
         Ok(states.into_iter().zip(margins).collect())
     }
@@ -564,9 +606,9 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         if alive == 0 {
             return survivors;
         }
-        for place in 0..self.samples % alive {
-            let other = self.random.random_range(place..alive);
-            survivors.swap(place, other);
+        for index in 0..self.samples % alive {
+            let random_index = self.random.random_range(index..alive);
+            survivors.swap(index, random_index);
         }
         survivors
             .iter()
@@ -576,44 +618,34 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
             .collect()
     }
 
-    /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and
-    /// proposed moves, without those that resampled all noise.
+    /// Moves the population within a new level, and adapts the step of the level to the acceptance after each move.
+    fn move_and_adapt_step(
+        &mut self,
+        population: &mut [Particle],
+        stage: &mut SplittingStage,
+    ) -> Result<MoveCounts, P::Error> {
+        let mut all_moves = MoveCounts::default();
+        for _ in 0..MOVES_PER_LEVEL {
+            let moves = self.mcmc_move(population, stage)?;
+            let excess = moves.acceptance() - TARGET_ACCEPTANCE;
+            stage.step = (stage.step * (STEP_ADAPTATION_RATE * excess).exp()).clamp(MIN_STEP, 1.0);
+            all_moves.add(moves);
+        }
+        Ok(all_moves)
+    }
+
+    /// Moves every run once; a move that would leave the level is rejected.
     fn mcmc_move(
         &mut self,
         population: &mut [Particle],
         stage: &SplittingStage,
-    ) -> Result<(u64, u64), P::Error> {
-        // An autoregressive step preserves the normal distribution (Neal, 1998; "preconditioned Crank-Nicolson").
-        let kept = (1.0 - stage.step * stage.step).sqrt();
-        let propose = |(state, _): &Particle, random: &mut Stream| {
-            let is_all_new = random.random::<f64>() < NEW_NOISE_SHARE;
-            let new = NoiseShare {
-                seed: new_noise_seed(random),
-                weight: if is_all_new { 1.0 } else { stage.step },
-            };
-            let noise = if is_all_new {
-                vec![new]
-            } else {
-                move_noise(&state.noise, kept, new)
-            };
-            let normal = |x: &f64| -> f64 {
-                let drawn: f64 = StandardNormal.sample(random);
-                kept * x + stage.step * drawn
-            };
-            (
-                RandomInputs {
-                    normal: state.normal.iter().map(normal).collect(),
-                    noise,
-                },
-                is_all_new,
-            )
-        };
+    ) -> Result<MoveCounts, P::Error> {
         let (proposals, all_new): (Vec<RandomInputs>, Vec<bool>) = population
             .iter()
-            .map(|sample| propose(sample, &mut self.random))
+            .map(|(state, _)| state.propose(stage.step, &mut self.random))
             .unzip();
         let margins = self.evaluate_margins(&proposals)?;
-        let (mut accepted, mut proposed) = (0, 0);
+        let mut moves = MoveCounts::default();
         for ((sample, is_all_new), (proposal, margin)) in population
             .iter_mut()
             .zip(all_new)
@@ -621,14 +653,14 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         {
             let passes = stage.passes(margin);
             if !is_all_new {
-                proposed += 1;
-                accepted += u64::from(passes);
+                moves.proposed += 1;
+                moves.accepted += u64::from(passes);
             }
             if passes {
                 *sample = (proposal, margin);
             }
         }
-        Ok((accepted, proposed))
+        Ok(moves)
     }
 
     fn evaluate_margins(&mut self, states: &[RandomInputs]) -> Result<Vec<f64>, P::Error> {
@@ -643,10 +675,49 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     }
 }
 
+impl RandomInputs {
+    fn sample(dimension: usize, random: &mut Stream) -> Self {
+        Self {
+            normal: (0..dimension)
+                .map(|_| StandardNormal.sample(random))
+                .collect(),
+            noise: vec![NoiseShare {
+                seed: new_noise_seed(random),
+                weight: 1.0,
+            }],
+        }
+    }
+
+    /// Proposes a move by an autoregressive step, which preserves the normal distribution (Neal, 1998; "preconditioned
+    /// Crank-Nicolson"). Returns it, and true if it resampled all noise.
+    fn propose(&self, step: f64, random: &mut Stream) -> (Self, bool) {
+        let retained = (1.0 - step * step).sqrt();
+        let is_all_new = random.random::<f64>() < NEW_NOISE_SHARE;
+        let new = NoiseShare {
+            seed: new_noise_seed(random),
+            weight: if is_all_new { 1.0 } else { step },
+        };
+        let noise = if is_all_new {
+            vec![new]
+        } else {
+            move_noise(&self.noise, retained, new)
+        };
+        let normal = self.normal.iter().map(|x| {
+            let innovation: f64 = StandardNormal.sample(random);
+            retained * x + step * innovation
+        });
+        let proposal = Self {
+            normal: normal.collect(),
+            noise,
+        };
+        (proposal, is_all_new)
+    }
+}
+
 /// Returns the noise after an autoregressive step.
-fn move_noise(noise: &[NoiseShare], kept: f64, new: NoiseShare) -> Vec<NoiseShare> {
+fn move_noise(noise: &[NoiseShare], retained: f64, new: NoiseShare) -> Vec<NoiseShare> {
     let shrunk = noise.iter().map(|share| NoiseShare {
-        weight: kept * share.weight,
+        weight: retained * share.weight,
         ..*share
     });
     // The first seed stays, because other random numbers depend on it.

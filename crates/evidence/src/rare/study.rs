@@ -12,7 +12,7 @@ use super::{RareError, RareEstimate, RarePlan, RareReport, Repetition, Splitting
 use crate::exposure::RatePerExposure;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
-use crumple_spaces::{ScenarioSpace, file};
+use crumple_spaces::file;
 use crumple_store::run_folder::{FolderTransaction, RunFolder, RunFolderError};
 use crumple_store::study::{Study, StudyStep};
 
@@ -227,10 +227,10 @@ impl RarePlan {
         let counter = ProgressCounter::new(&report, None);
         saved.begin_resamples(self.resamples);
         let mut index = 0;
-        let mut again = |space: &ScenarioSpace, seed| {
-            let known = saved.resample(index).cloned();
+        self.rate_per_exposure(estimate, self.resamples, &mut |space, seed| {
+            let saved_estimate = saved.resample(index).cloned();
             index += 1;
-            if let Some(estimate) = known {
+            if let Some(estimate) = saved_estimate {
                 return Ok(estimate);
             }
             let estimate = self.estimate_in_space(space, seed, &counter)?;
@@ -240,8 +240,7 @@ impl RarePlan {
                 saved.write(folder)?;
             }
             Ok(estimate)
-        };
-        self.rate_per_exposure(estimate, self.resamples, &mut again)
+        })
     }
 }
 
@@ -283,15 +282,13 @@ impl SavedProgress {
     }
 
     fn is_consistent_with(&self, plan: &RarePlan) -> bool {
-        let is_own = |pilot: &SplittingLevels| pilot.is_placed_by(plan.effort, plan.seed);
-        let may_be = |some: &Vec<Repetition>| {
-            some.len() as u64 <= plan.effort.repetitions as u64
-                && self
-                    .pilot
-                    .as_ref()
-                    .is_some_and(|pilot| pilot.is_consistent_with(some))
-        };
-        self.pilot.iter().all(is_own) && self.repetitions.iter().all(may_be)
+        let pilot = self.pilot.as_ref();
+        let is_pilot_of_plan = pilot.is_none_or(|pilot| pilot.is_placed_by(plan.effort, plan.seed));
+        is_pilot_of_plan
+            && self.repetitions.as_ref().is_none_or(|repetitions| {
+                repetitions.len() as u64 <= plan.effort.repetitions as u64
+                    && pilot.is_some_and(|pilot| pilot.is_consistent_with(repetitions))
+            })
     }
 }
 

@@ -44,14 +44,14 @@ fn completed_runs(plan: &RarePlan, folder: &Path) -> u64 {
     study.state().map_or(0, |state| state.completed_runs(plan))
 }
 
-fn assert_same(one: &Path, other: &Path) {
+fn assert_same(first: &Path, other: &Path) {
     for name in ["rare-estimate.json", "work.json"] {
         assert!(
-            fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(),
+            fs::read(first.join(name)).unwrap() == fs::read(other.join(name)).unwrap(),
             "{name}"
         );
     }
-    assert!(!one.join(PROGRESS_FILE).exists() && !one.join("previous").exists());
+    assert!(!first.join(PROGRESS_FILE).exists() && !first.join("previous").exists());
 }
 
 proptest! {
@@ -70,7 +70,7 @@ proptest! {
         let interrupted = |&(runs, threads): &(u64, usize)| {
             with_threads(threads, || run_until(&plan, &broken, runs)).is_none()
         };
-        let times = interruptions.iter().filter(|one| interrupted(one)).count();
+        let times = interruptions.iter().filter(|interruption| interrupted(interruption)).count();
         let left = with_threads(3, || run_until(&plan, &broken, u64::MAX)).unwrap();
         prop_assert!(left <= all && (times > 0 || left == 0), "{left} of {all} after {times} interruptions");
         assert_same(&through, &broken);
@@ -78,7 +78,7 @@ proptest! {
 }
 
 #[test]
-fn repetitions_are_kept_as_they_end() {
+fn repetitions_are_saved_as_they_end() {
     let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
     let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
     let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();

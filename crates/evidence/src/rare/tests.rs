@@ -95,10 +95,10 @@ fn filter_errors(initial: [f64; 3], noise_m: impl FnMut() -> f64) -> [f64; 2] {
 fn filter_deviations() -> [f64; 2] {
     let mut variances = [0.0; 2];
     for impulse in 0..3 + FILTER_STEPS {
-        let mut place = 2;
+        let mut step = 2;
         let noise_m = || {
-            place += 1;
-            f64::from(place == impulse)
+            step += 1;
+            f64::from(step == impulse)
         };
         let initial = std::array::from_fn(|i| f64::from(i == impulse));
         variances
@@ -138,17 +138,21 @@ fn assert_close(
     (within, bias, min_held): (f64, f64, usize),
     (seeds, max_runs): (u64, u64),
 ) {
-    let found: Vec<RareEstimate> = (0..seeds).map(|seed| estimate(problem, seed)).collect();
-    let ratios: Vec<f64> = found
+    let estimates: Vec<RareEstimate> = (0..seeds).map(|seed| estimate(problem, seed)).collect();
+    let ratios: Vec<f64> = estimates
         .iter()
-        .map(|one| one.probability.unwrap() / truth)
+        .map(|estimate| estimate.probability.unwrap() / truth)
         .collect();
-    let held = found.iter().filter(|one| {
-        let [low, high] = one.interval_95.unwrap();
+    let covered = estimates.iter().filter(|estimate| {
+        let [low, high] = estimate.interval_95.unwrap();
         (low..=high).contains(truth)
     });
-    let (held, mean) = (held.count(), ratios.iter().sum::<f64>() / seeds as f64);
-    let most = found.iter().map(|one| one.evaluations).max().unwrap();
+    let (covered, mean) = (covered.count(), ratios.iter().sum::<f64>() / seeds as f64);
+    let most = estimates
+        .iter()
+        .map(|estimate| estimate.evaluations)
+        .max()
+        .unwrap();
     // Counting with the same relative error needs (1 - p) / p / error^2 runs.
     let error = ratios
         .iter()
@@ -157,8 +161,8 @@ fn assert_close(
         / seeds as f64;
     let saved = (1.0 - truth) / truth / error / most as f64;
     println!(
-        "{name}: truth {truth:.3e}, mean {mean:.3}, {held} of {seeds} held, {most} runs, error {:.3}, {saved:.0} times \
-         fewer runs than counting",
+        "{name}: truth {truth:.3e}, mean {mean:.3}, {covered} of {seeds} held, {most} runs, error {:.3}, {saved:.0} \
+         times fewer runs than counting",
         error.sqrt()
     );
     assert!(
@@ -168,7 +172,7 @@ fn assert_close(
         "{name}: {ratios:?}"
     );
     assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
-    assert!(held >= min_held, "{name}: {held} of {seeds}");
+    assert!(covered >= min_held, "{name}: {covered} of {seeds}");
     assert!(most < max_runs, "{name}: {most}");
 }
 
@@ -228,7 +232,7 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 6] {
 /// Each estimate is within a factor of two, nearly all intervals contain the truth, and the mean over the seeds has a
 /// small error. Problems of tier 2 have a filter, which takes longer, or more seeds.
 #[test]
-fn small_probabilities_are_found() {
+fn estimates_of_small_probabilities_are_close() {
     known_problems()
         .iter()
         .take(2)
@@ -240,7 +244,7 @@ mod tier_2 {
 
     #[test]
     #[ignore = "tier 2: takes a minute"]
-    fn known_probabilities_below_a_millionth_are_found() {
+    fn estimates_of_probabilities_below_a_millionth_are_close() {
         for (index, problem) in known_problems().into_iter().enumerate() {
             assert!(problem.2 < 1e-6);
             let (limits, effort) = if index < 4 {
@@ -291,7 +295,7 @@ fn both_engines_agree_on_shares_of_noise() {
 }
 
 #[test]
-fn the_number_of_threads_changes_nothing_and_the_seed_does() {
+fn estimates_depend_on_the_seed_and_not_on_threads() {
     let problem = ClosedFormLimitState {
         dimension: 4,
         margin: linear,
@@ -309,23 +313,23 @@ fn the_number_of_threads_changes_nothing_and_the_seed_does() {
 
 #[test]
 fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
-    let found = estimate(
+    let estimated = estimate(
         &ClosedFormLimitState {
             dimension: 4,
             margin: linear,
         },
         1,
     );
-    let last = found.levels.last().unwrap();
+    let last = estimated.levels.last().unwrap();
     assert_eq!(
         (last.margin, Some(last.probability)),
-        (0.0, found.probability)
+        (0.0, estimated.probability)
     );
-    for pair in found.levels.windows(2) {
+    for pair in estimated.levels.windows(2) {
         assert!(pair[0].margin > pair[1].margin && pair[0].probability > pair[1].probability);
     }
     assert_eq!(
-        found.repetitions.len(),
+        estimated.repetitions.len(),
         SplittingConfig::default().repetitions
     );
 }
@@ -333,7 +337,7 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
 /// Margins lead a small population away from the failures; a larger pilot finds them, without bias. The runs of all
 /// pilots count, and their samples if nothing else is known.
 #[test]
-fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
+fn a_larger_pilot_reaches_a_failure_that_the_first_one_misses() {
     // A wide valley ends above 0; the narrow way to the failures has larger margins at first.
     let astray = |state: &RandomInputs| {
         let at = |index: usize| coordinate(state, index);
@@ -351,10 +355,10 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
         samples: 100,
         repetitions: 10,
     };
-    let (mut found, mut again) = (Vec::new(), 0);
+    let (mut ratios, mut retries) = (Vec::new(), 0);
     for seed in 0..200 {
         let first = SplittingLevels::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
-        again += usize::from(!first.reaches_failure());
+        retries += usize::from(!first.reaches_failure());
         let pilot = SplittingLevels::run_pilots(&problem, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
         // If no pilot reaches a failure, the runs of the three pilots are all.
@@ -366,13 +370,13 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
                 700
             }
         );
-        found.push(estimate.probability.unwrap_or(0.0) / truth);
+        ratios.push(estimate.probability.unwrap_or(0.0) / truth);
     }
-    let mean = found.iter().sum::<f64>() / found.len() as f64;
-    println!("{again} went on, mean {mean:.3}");
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    println!("{retries} went on, mean {mean:.3}");
     assert!(
-        again >= 10 && (mean - 1.0).abs() < 0.15,
-        "{again} went on, mean {mean:.3}"
+        retries >= 10 && (mean - 1.0).abs() < 0.15,
+        "{retries} went on, mean {mean:.3}"
     );
     let never = SplittingLevels::run_pilots(
         &ClosedFormLimitState {
@@ -403,15 +407,15 @@ fn without_a_failure_there_is_no_probability() {
         |_: &RandomInputs| f64::NAN,
     ];
     for margin in never {
-        let found = estimate(
+        let estimated = estimate(
             &ClosedFormLimitState {
                 dimension: 2,
                 margin,
             },
             0,
         );
-        assert_eq!((found.probability, found.interval_95), (None, None));
-        assert!(found.levels.iter().all(|level| level.margin > 0.0));
+        assert_eq!((estimated.probability, estimated.interval_95), (None, None));
+        assert!(estimated.levels.iter().all(|level| level.margin > 0.0));
     }
     let always = estimate(
         &ClosedFormLimitState {
@@ -427,7 +431,7 @@ fn without_a_failure_there_is_no_probability() {
 }
 
 #[test]
-fn splitting_agrees_with_counting_on_the_road() {
+fn splitting_agrees_with_counting_in_a_space() {
     const COUNTED: u64 = 6000;
     let estimator = EstimatorKind::Kalman;
     let effort = SplittingConfig {
@@ -463,7 +467,7 @@ fn splitting_agrees_with_counting_on_the_road() {
 }
 
 #[test]
-fn levels_are_read_as_they_are_and_were_written() {
+fn levels_are_read_with_either_name_of_their_margin() {
     let level = |named: &str| {
         format!("{{{named}\"probability\":0.5,\"share\":0.5,\"step\":null,\"acceptance\":null}}")
     };

@@ -156,8 +156,8 @@ impl RareEstimate {
 
     fn write_extinct_repetitions(&self, out: &mut String) -> std::fmt::Result {
         let all = self.repetitions.len();
-        let is_extinct = |estimate: &&f64| **estimate == 0.0;
-        let extinct = self.repetitions.iter().filter(is_extinct).count();
+        let estimates = self.repetitions.iter();
+        let extinct = estimates.filter(|estimate| **estimate == 0.0).count();
         if extinct == 0 || extinct == all {
             return Ok(());
         }

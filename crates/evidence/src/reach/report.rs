@@ -50,14 +50,13 @@ impl<'a> ReachReport<'a> {
         accepted: &ProvedClaim,
     ) -> Self {
         let certificate = &partition.certificate;
-        let is_finite = |value: &f64| value.is_finite();
-        let (verified_share, min_gap_m) = match *accepted {
+        let [verified_share, min_gap_m] = match *accepted {
             ProvedClaim::Reach {
                 min_gap_m,
                 verified_share,
                 ..
-            } => (Some(verified_share), Some(min_gap_m)),
-            _ => (None, None),
+            } => [verified_share, min_gap_m].map(Some),
+            _ => [None, None],
         };
         Self {
             controller,
@@ -70,9 +69,11 @@ impl<'a> ReachReport<'a> {
             verified_share,
             // JSON has no infinity, the gap without a verified initial state.
             smallest_gap_m: min_gap_m
-                .filter(is_finite)
-                .filter(|_| verified_share > Some(0.0)),
-            horizon_s: certificate.scope().horizon_s.filter(is_finite),
+                .filter(|gap_m| gap_m.is_finite() && verified_share > Some(0.0)),
+            horizon_s: certificate
+                .scope()
+                .horizon_s
+                .filter(|horizon_s| horizon_s.is_finite()),
             shares: &partition.shares,
             undecided: partition.undecided,
             conclusion: accepted.to_string(),

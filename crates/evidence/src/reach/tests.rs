@@ -58,7 +58,7 @@ fn claims_are_accepted_and_independent_of_threads() {
 
 /// Tests the assumed accuracy of the functions of networks, with a safety factor of two.
 #[test]
-fn single_precision_functions_are_as_good_as_assumed() {
+fn single_precision_functions_have_the_assumed_accuracy() {
     use crumple_verify::reach::controller::TANH_ERROR;
     let all = || {
         (0..u32::MAX / 997)

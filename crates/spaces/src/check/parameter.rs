@@ -77,7 +77,7 @@ impl ScenarioSpace {
             let problem = format!("`{name}` is a column of every table of evaluations");
             return reject("name", problem);
         }
-        if self.parameters.iter().any(|other| other.name == name) {
+        if self.parameters.iter().any(|earlier| earlier.name == name) {
             let problem = format!("`{name}` is the name of another parameter");
             return reject("name", problem);
         }
@@ -126,13 +126,13 @@ fn check_unit(spec: &ParameterSpec, unit: &str) -> Result<(), InvalidSpace> {
     if with_superscripts(&spec.unit) == unit {
         return Ok(());
     }
-    let found = if spec.unit.is_empty() {
+    let given = if spec.unit.is_empty() {
         "none is given".to_owned()
     } else {
         format!("found `{}`", spec.unit)
     };
     if unit.is_empty() {
-        return reject("unit", format!("`{}` has no unit, {found}", spec.field));
+        return reject("unit", format!("`{}` has no unit, {given}", spec.field));
     }
     let plain = unit.replace('²', "2").replace('³', "3");
     let or_plain = if plain == unit {
@@ -141,7 +141,7 @@ fn check_unit(spec: &ParameterSpec, unit: &str) -> Result<(), InvalidSpace> {
         format!(" (or `{plain}`)")
     };
     let problem = format!(
-        "the unit of `{}` is `{unit}`{or_plain}, {found}",
+        "the unit of `{}` is `{unit}`{or_plain}, {given}",
         spec.field
     );
     reject("unit", problem)
@@ -155,8 +155,8 @@ fn with_superscripts(unit: &str) -> String {
 fn check_overlap(field: &ParameterField, written: &[WrittenPath]) -> Result<(), InvalidSpace> {
     for path in &field.written_paths {
         let mut earlier = written.iter();
-        if let Some(other) = earlier.find(|other| is_overlapping(&other.path, path)) {
-            let parameter = &other.parameter;
+        if let Some(overlapping) = earlier.find(|earlier| is_overlapping(&earlier.path, path)) {
+            let parameter = &overlapping.parameter;
             let problem = format!("`{path}` is set by the parameter `{parameter}` already");
             return reject("field", problem);
         }
@@ -166,11 +166,12 @@ fn check_overlap(field: &ParameterField, written: &[WrittenPath]) -> Result<(), 
 
 /// Returns true if the paths are equal or one contains the other.
 fn is_overlapping(a: &str, b: &str) -> bool {
-    let is_part = |part: &str, whole: &str| {
-        part.strip_prefix(whole)
-            .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-    };
     is_part(a, b) || is_part(b, a)
+}
+
+fn is_part(part: &str, whole: &str) -> bool {
+    part.strip_prefix(whole)
+        .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
 }
 
 fn check_kind(spec: &ParameterSpec, kind: ValueKind) -> Result<(), InvalidSpace> {
@@ -199,18 +200,18 @@ fn check_nominal(
     nominal: &[f64],
     marginal: &CoordinateMarginal,
 ) -> Result<(), InvalidSpace> {
-    let deviation = |value: f64| marginal.value(marginal.coordinate(value)) - value;
-    let is_off =
-        |value: f64| !value.is_finite() || deviation(value).abs() > 1e-9 * (1.0 + value.abs());
-    let Some(value) = nominal.iter().find(|value| is_off(**value)) else {
+    let Some(value) = nominal.iter().find(|&&value| {
+        let deviation = marginal.value(marginal.coordinate(value)) - value;
+        !value.is_finite() || deviation.abs() > 1e-9 * (1.0 + value.abs())
+    }) else {
         return Ok(());
     };
-    let found = format_compact(*value);
+    let value = format_compact(*value);
     let problem = if matches!(marginal, CoordinateMarginal::Choice { .. }) {
-        format!("{found} is not a value of the distribution")
+        format!("{value} is not a value of the distribution")
     } else {
         let [low, high] = [marginal.low(), marginal.high()].map(format_compact);
-        format!("must be from {low} to {high}, found {found}")
+        format!("must be from {low} to {high}, found {value}")
     };
     let origin = if spec.nominal.is_some() {
         ""

@@ -115,7 +115,7 @@ fn extreme_distributions_have_values_at_every_share() {
     for [low, high] in ranges {
         for shape in [0.01, 0.3, 1.0, 7.0, 1e6] {
             for scale in [1e-9, 1e-3, 1.0, 1e9] {
-                let of = ShapeScaleSpec {
+                let spec = ShapeScaleSpec {
                     shape,
                     scale,
                     low,
@@ -128,8 +128,8 @@ fn extreme_distributions_have_values_at_every_share() {
                     high,
                 };
                 for law in [
-                    DistributionSpec::Gamma(of.clone()),
-                    DistributionSpec::Weibull(of),
+                    DistributionSpec::Gamma(spec.clone()),
+                    DistributionSpec::Weibull(spec),
                     DistributionSpec::LogNormal(lognormal),
                 ] {
                     let Ok(marginal) = law.marginal() else {
@@ -159,9 +159,9 @@ proptest! {
         let at = marginal.quantile(u);
         prop_assert!((0.0..=1.0).contains(&at));
         // Includes the fraction of the last cell: at a steep density one cell exceeds the tolerance.
-        let place = at * CELLS as f64;
-        let whole = place as usize;
-        let below: f64 = (0..whole).map(cell).sum::<f64>() + (place - whole as f64) * cell(whole);
+        let position = at * CELLS as f64;
+        let whole = position as usize;
+        let below: f64 = (0..whole).map(cell).sum::<f64>() + (position - whole as f64) * cell(whole);
         prop_assert!((below - u).abs() < 2e-3, "{below} instead of {u}");
         prop_assert!((marginal.cdf(at) - u).abs() < 1e-8);
         let point = if let CoordinateMarginal::PointMass { probability: p, .. } = &marginal { *p } else { 0.0 };
@@ -170,7 +170,7 @@ proptest! {
         prop_assert!(is_choice || off.abs() <= point + 1e-8, "{off}");
         let value = marginal.value(at);
         prop_assert!(value >= marginal.low() && value <= marginal.high());
-        let again = marginal.value(marginal.coordinate(value));
-        prop_assert!((again - value).abs() <= 1e-9 * (1.0 + value.abs()));
+        let restored = marginal.value(marginal.coordinate(value));
+        prop_assert!((restored - value).abs() <= 1e-9 * (1.0 + value.abs()));
     }
 }

@@ -108,7 +108,7 @@ fn is_numbered(path: &Path) -> bool {
 
 /// Takes the lock of a file whose writer has ended; `None` if the writer still holds it, or a run folder owns the file.
 fn lock_if_abandoned(path: &Path) -> Option<File> {
-    let is_plain = fs::symlink_metadata(path).is_ok_and(|found| found.is_file());
+    let is_plain = fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_file());
     if !is_plain || is_numbered(path) {
         return None;
     }

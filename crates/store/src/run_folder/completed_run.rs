@@ -43,13 +43,13 @@ pub fn read_state(folder: &Path) -> Result<RunState, RunFolderError> {
     }
     let path = folder.join(MANIFEST_FILE);
     let Some(manifest) = Manifest::read(&path)? else {
-        let is_own = |path: &PathBuf| {
-            disk::is_unfinished(path)
-                || [LOCK_FILE, PREVIOUS_FOLDER]
-                    .iter()
-                    .any(|own| path.ends_with(own))
-        };
-        return match sorted_entries(folder)?.iter().all(is_own) {
+        let mut entries = sorted_entries(folder)?.into_iter();
+        let is_empty = entries.all(|path| {
+            disk::is_unfinished(&path)
+                || path.ends_with(LOCK_FILE)
+                || path.ends_with(PREVIOUS_FOLDER)
+        });
+        return match is_empty {
             true => Ok(RunState::Missing),
             false => Err(RunFolderError::missing(&path)),
         };
@@ -84,14 +84,11 @@ impl CompletedRun {
     /// # Errors
     /// [`RunFolderError`] if it is missing, is not as it was written, or is not UTF-8.
     pub fn read(&self, name: &str) -> Result<String, RunFolderError> {
-        let path = self.folder.join(name);
-        let no_text = |error| {
-            RunFolderError::Disk(DiskError::at(&path)(io::Error::new(
-                io::ErrorKind::InvalidData,
-                error,
-            )))
-        };
-        String::from_utf8(self.read_bytes(name)?).map_err(no_text)
+        String::from_utf8(self.read_bytes(name)?).map_err(|error| {
+            let path = self.folder.join(name);
+            let error = io::Error::new(io::ErrorKind::InvalidData, error);
+            RunFolderError::Disk(DiskError::at(&path)(error))
+        })
     }
 
     /// Returns the names of its files, without the manifest.

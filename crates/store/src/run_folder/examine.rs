@@ -1,6 +1,6 @@
 //! Read-only examination of a run folder.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::lock::FolderLock;
 use super::manifest::Manifest;
@@ -40,17 +40,24 @@ impl FolderExamination {
     }
 
     pub(super) fn first_damage(&self, folder: &Path) -> Option<RunFolderError> {
-        let problem = |(name, found): &(String, Result<(), String>)| {
-            let problem = found.as_ref().err()?;
+        let damaged_file = self.files.iter().find_map(|(name, state)| {
+            let problem = state.as_ref().err()?;
             Some(RunFolderError::damaged(&folder.join(name), problem))
-        };
-        let unlisted_file = || {
-            Some(RunFolderError::damaged(
-                &folder.join(self.unlisted_files.first()?),
-                UNLISTED_FILE_MESSAGE,
-            ))
-        };
-        self.files.iter().find_map(problem).or_else(unlisted_file)
+        });
+        damaged_file.or_else(|| {
+            let path = folder.join(self.unlisted_files.first()?);
+            Some(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE))
+        })
+    }
+
+    /// Adds the files of an included folder under its name.
+    fn add_included(&mut self, folder: &str, included: Self) {
+        let files = included.files.into_iter();
+        self.files
+            .extend(files.map(|(name, state)| (format!("{folder}/{name}"), state)));
+        let unlisted_files = included.unlisted_files.into_iter();
+        self.unlisted_files
+            .extend(unlisted_files.map(|name| format!("{folder}/{name}")));
     }
 }
 
@@ -61,71 +68,56 @@ impl FolderExamination {
 pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
     let path = folder.join(MANIFEST_FILE);
     let manifest = Manifest::read(&path)?.ok_or_else(|| RunFolderError::missing(&path))?;
-    match FolderLock::try_acquire(folder) {
-        Ok(None) => {
-            return Err(RunFolderError::InUse {
-                folder: folder.to_owned(),
-                kind: manifest.kind,
-            });
-        }
-        // No process can run in a folder that is not writable.
-        Err(error) if error.is_read_only() => {}
-        lock => drop(lock?),
-    }
-    let state = |name: String| -> Result<_, RunFolderError> {
-        match manifest.check_file(folder, &name) {
-            Ok(()) => Ok((name, Ok(()))),
-            Err(RunFolderError::Damaged { problem, .. }) => Ok((name, Err(problem))),
-            Err(other) => Err(other),
-        }
-    };
-    let names = manifest.file_names();
-    let mut files = names
-        .into_iter()
-        .map(state)
-        .collect::<Result<Vec<_>, _>>()?;
-    let name = |path: PathBuf| {
-        path.strip_prefix(folder)
-            .unwrap_or(&path)
-            .to_string_lossy()
-            .into_owned()
-    };
-    let mut unlisted: Vec<String> = manifest
-        .unlisted_files(folder)?
-        .into_iter()
-        .map(name)
-        .collect();
-    for included in manifest.included_folders() {
-        let found = match examine(&folder.join(&included)) {
-            Err(RunFolderError::Damaged { .. }) => continue, // Its manifest is one of the files above.
-            found => found?.into_included(),
+    check_unused(folder, &manifest)?;
+    let mut files = Vec::new();
+    for name in manifest.file_names() {
+        let state = match manifest.check_file(folder, &name) {
+            Ok(()) => Ok(()),
+            Err(RunFolderError::Damaged { problem, .. }) => Err(problem),
+            Err(error) => return Err(error),
         };
-        files.extend(
-            found
-                .files
-                .into_iter()
-                .map(|(name, state)| (format!("{included}/{name}"), state)),
-        );
-        unlisted.extend(
-            found
-                .unlisted_files
-                .into_iter()
-                .map(|name| format!("{included}/{name}")),
-        );
+        files.push((name, state));
     }
-    Ok(FolderExamination {
+    let unlisted_files = manifest.unlisted_files(folder)?.into_iter().map(|path| {
+        let name = path.strip_prefix(folder).unwrap_or(&path);
+        name.to_string_lossy().into_owned()
+    });
+    let mut examination = FolderExamination {
         is_complete: manifest.program.is_none(),
         is_of_this_build: match &manifest.program {
             Some(program) => program == program::identity()?,
             None => true,
         },
         files,
-        unlisted_files: unlisted,
+        unlisted_files: unlisted_files.collect(),
         identity: manifest
             .program
             .as_deref()
             .map(|program| manifest.identity(program)),
         unrelated_files: manifest.unrelated_files(folder)?,
-        kind: manifest.kind,
-    })
+        kind: manifest.kind.clone(),
+    };
+    for name in manifest.included_folders() {
+        match examine(&folder.join(&name)) {
+            Err(RunFolderError::Damaged { .. }) => {} // Its manifest is one of the files above.
+            included => examination.add_included(&name, included?.into_included()),
+        }
+    }
+    Ok(examination)
+}
+
+/// Checks that no run is in progress in a folder.
+fn check_unused(folder: &Path, manifest: &Manifest) -> Result<(), RunFolderError> {
+    match FolderLock::try_acquire(folder) {
+        Ok(None) => {
+            return Err(RunFolderError::InUse {
+                folder: folder.to_owned(),
+                kind: manifest.kind.clone(),
+            });
+        }
+        // No process can run in a folder that is not writable.
+        Err(error) if error.is_read_only() => {}
+        lock => drop(lock?),
+    }
+    Ok(())
 }

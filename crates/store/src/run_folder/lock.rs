@@ -60,7 +60,7 @@ impl Drop for FolderLock {
 fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
     let path = folder.join(LOCK_FILE);
     let unusable = DiskError::at(&path);
-    if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_file()) {
+    if fs::symlink_metadata(&path).is_ok_and(|metadata| !metadata.is_file()) {
         let problem = "is not a plain file, so crumple cannot lock it: remove it";
         return Err(unusable(io::Error::new(
             io::ErrorKind::InvalidData,
@@ -99,10 +99,10 @@ mod tests {
         let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_none());
         // A duplicate, as a child process holds it before it executes its program.
-        let held = lock.file.try_clone().unwrap();
+        let duplicate = lock.file.try_clone().unwrap();
         drop(lock);
         assert!(FolderLock::try_acquire(folder.path()).unwrap().is_some());
-        drop(held);
+        drop(duplicate);
         let lock = FolderLock::try_acquire(folder.path()).unwrap().unwrap();
         fs::remove_file(folder.path().join(LOCK_FILE)).unwrap();
         assert!(

@@ -97,20 +97,26 @@ impl Manifest {
         let Some(bytes) = read_regular_file(path, MAX_BYTES)? else {
             return Ok(None);
         };
-        let damaged = |problem: String| RunFolderError::damaged(path, problem);
-        let found: Self = serde_json::from_slice(&bytes).map_err(|error| {
-            damaged(format!(
-                "line {}, column {}: not as crumple writes it",
-                error.line(),
-                error.column()
-            ))
+        let manifest: Self = serde_json::from_slice(&bytes).map_err(|error| {
+            RunFolderError::damaged(
+                path,
+                format!(
+                    "line {}, column {}: not as crumple writes it",
+                    error.line(),
+                    error.column()
+                ),
+            )
         })?;
-        check_version(found.version, VERSION)
-            .map_err(|unsupported| damaged(format!("version: {unsupported}")))?;
-        match found.to_json() {
-            Ok(text) if text.as_bytes() == bytes && found.is_inside_folder() => Ok(Some(found)),
-            _ => Err(damaged(
-                "sha256: the file has changed since it was written".to_owned(),
+        check_version(manifest.version, VERSION).map_err(|unsupported| {
+            RunFolderError::damaged(path, format!("version: {unsupported}"))
+        })?;
+        match manifest.to_json() {
+            Ok(text) if text.as_bytes() == bytes && manifest.is_inside_folder() => {
+                Ok(Some(manifest))
+            }
+            _ => Err(RunFolderError::damaged(
+                path,
+                "sha256: the file has changed since it was written",
             )),
         }
     }
@@ -134,14 +140,16 @@ impl Manifest {
 
     /// Returns the text of the file, with its digest.
     pub(super) fn to_json(&self) -> Result<String, serde_json::Error> {
-        let with = |sha256| {
-            serde_json::to_string_pretty(&Self {
-                sha256,
-                ..self.clone()
-            })
-            .map(|text| text + "\n")
-        };
-        with(sha256(with(String::new())?))
+        let without_digest = self.to_json_with(String::new())?;
+        self.to_json_with(sha256(without_digest))
+    }
+
+    fn to_json_with(&self, sha256: String) -> Result<String, serde_json::Error> {
+        let text = serde_json::to_string_pretty(&Self {
+            sha256,
+            ..self.clone()
+        })?;
+        Ok(text + "\n")
     }
 
     /// Reads a regular file, or its pending replacement, of at most the recorded size; `None` if it does not exist.
@@ -159,26 +167,24 @@ impl Manifest {
                 Ok(None)
             };
         };
-        let read = |path: &Path| read_regular_file(path, state.max_bytes());
-        let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| {
-            found.as_ref().is_ok_and(|bytes| {
-                bytes
-                    .as_ref()
-                    .is_some_and(|bytes| state.matches_contents(bytes))
-            })
+        let contents = read_regular_file(&path, state.max_bytes());
+        let Some(unfinished) = self.unfinished_for(name) else {
+            return contents;
         };
-        let found = read(&path);
-        let unfinished = self.unfinished_for(name).filter(|_| !is_whole(&found));
-        unfinished
-            .map(|unfinished| read(&folder.join(unfinished)))
-            .filter(is_whole)
-            .unwrap_or(found)
+        if matches_state(&contents, state) {
+            return contents;
+        }
+        let replacement = read_regular_file(&folder.join(unfinished), state.max_bytes());
+        match matches_state(&replacement, state) {
+            true => replacement,
+            false => contents,
+        }
     }
 
     /// Returns the name of the file that will replace a file.
-    fn unfinished_for(&self, of: &str) -> Option<&str> {
+    fn unfinished_for(&self, file: &str) -> Option<&str> {
         self.pending.iter().find_map(|pending| match pending {
-            PendingChange::Move { unfinished, name } if name == of => Some(unfinished.as_str()),
+            PendingChange::Move { unfinished, name } if name == file => Some(unfinished.as_str()),
             _ => None,
         })
     }
@@ -229,12 +235,12 @@ impl Manifest {
             .chain(folders)
             .collect::<BTreeSet<_>>()
         {
-            let place = root.join(folder);
-            if place.is_symlink() {
-                unlisted.push(place);
+            let path = root.join(folder);
+            if path.is_symlink() {
+                unlisted.push(path);
             } else if !self.includes_folder(folder) {
                 unlisted.extend(
-                    sorted_entries(&place)?
+                    sorted_entries(&path)?
                         .into_iter()
                         .filter(|path| !self.is_expected(root, path)),
                 );
@@ -252,12 +258,11 @@ impl Manifest {
             return false;
         };
         if path.is_dir() && !path.is_symlink() {
-            let is_below = |known: &str| {
-                known
-                    .strip_prefix(name.as_str())
-                    .is_some_and(|rest| rest.starts_with('/'))
-            };
-            return self.program.is_some() || self.files.keys().any(|known| is_below(known));
+            let mut below = self
+                .files
+                .keys()
+                .filter_map(|file| file.strip_prefix(name.as_str()));
+            return self.program.is_some() || below.any(|rest| rest.starts_with('/'));
         }
         self.has_entry(&name)
             || path == root.join(PREVIOUS_FOLDER).join(MANIFEST_FILE)
@@ -266,23 +271,22 @@ impl Manifest {
 
     /// Returns the entries of the root folder that do not belong to the run.
     pub(super) fn unrelated_files(&self, root: &Path) -> Result<Vec<String>, DiskError> {
-        let known = self.folders();
         let outputs = self.outputs.iter().map(String::as_str);
-        let tops: BTreeSet<&str> = known
+        let mut expected: BTreeSet<&str> = self
+            .folders()
             .into_iter()
             .chain(outputs)
             .filter_map(|name| name.split('/').next())
             .collect();
-        let own = [MANIFEST_FILE, LOCK_FILE, PREVIOUS_FOLDER];
-        let is_own =
-            |name: &str| self.has_entry(name) || tops.contains(name) || own.contains(&name);
+        expected.extend([MANIFEST_FILE, LOCK_FILE, PREVIOUS_FOLDER]);
         let entries = fs::read_dir(root).map_err(DiskError::at(root))?.flatten();
         let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-        let mut beside: Vec<String> = names
-            .filter(|name| !is_own(name) && !disk::is_unfinished(Path::new(name)))
+        let mut unrelated: Vec<String> = names
+            .filter(|name| !self.has_entry(name) && !expected.contains(name.as_str()))
+            .filter(|name| !disk::is_unfinished(Path::new(name)))
             .collect();
-        beside.sort_unstable();
-        Ok(beside)
+        unrelated.sort_unstable();
+        Ok(unrelated)
     }
 
     pub(super) fn whole_file_state(&self, name: &str) -> Option<&FileState> {
@@ -296,14 +300,9 @@ impl Manifest {
     }
 
     pub(super) fn included_folders(&self) -> Vec<String> {
-        let folder = |name: &String| {
-            Some(
-                name.strip_suffix(MANIFEST_FILE)?
-                    .strip_suffix('/')?
-                    .to_owned(),
-            )
-        };
-        self.files.keys().filter_map(folder).collect()
+        let names = self.files.keys();
+        let folders = names.filter_map(|name| name.strip_suffix(MANIFEST_FILE)?.strip_suffix('/'));
+        folders.map(str::to_owned).collect()
     }
 
     pub(super) fn includes_folder(&self, folder: &str) -> bool {
@@ -412,10 +411,10 @@ impl Manifest {
     }
 
     /// Checks the contents of a file against its recorded state.
-    pub(super) fn check(&self, name: &str, found: Option<&[u8]>) -> Result<(), String> {
-        match (self.files.get(name), found) {
+    pub(super) fn check(&self, name: &str, contents: Option<&[u8]>) -> Result<(), String> {
+        match (self.files.get(name), contents) {
             (None, None) | (Some(FileState::AppendOnly(_)), _) => Ok(()),
-            (Some(state), Some(found)) if state.matches_contents(found) => Ok(()),
+            (Some(state), Some(contents)) if state.matches_contents(contents) => Ok(()),
             (Some(_), Some(_)) => Err("has changed since it was written".to_owned()),
             (Some(_), None) => Err(MISSING_FILE_MESSAGE.to_owned()),
             (None, Some(_)) => Err(UNLISTED_FILE_MESSAGE.to_owned()),
@@ -425,16 +424,21 @@ impl Manifest {
     /// Checks that a file in the folder is as it was written.
     pub(super) fn check_file(&self, folder: &Path, name: &str) -> Result<(), RunFolderError> {
         let path = folder.join(name);
-        let damaged = |problem| RunFolderError::damaged(&path, problem);
-        match self.prefix(name) {
+        let checked = match self.prefix(name) {
             Some(prefix) => {
                 regular_file_len(&path)?;
-                prefix.check_file(&path)?.map_err(damaged)
+                prefix.check_file(&path)?
             }
-            None => self
-                .check(name, self.read_contents(folder, name)?.as_deref())
-                .map_err(damaged),
-        }
+            None => self.check(name, self.read_contents(folder, name)?.as_deref()),
+        };
+        checked.map_err(|problem| RunFolderError::damaged(&path, problem))
+    }
+}
+
+fn matches_state(contents: &Result<Option<Vec<u8>>, RunFolderError>, state: &FileState) -> bool {
+    match contents {
+        Ok(Some(bytes)) => state.matches_contents(bytes),
+        _ => false,
     }
 }
 
@@ -443,10 +447,10 @@ pub(super) fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
         .map_err(DiskError::at(folder))?
         .into_iter()
         .flatten();
-    let found = entries
+    let paths = entries
         .map(|entry| Ok(entry?.path()))
         .collect::<io::Result<Vec<_>>>();
-    let mut found = found.map_err(DiskError::at(folder))?;
-    found.sort_unstable();
-    Ok(found)
+    let mut paths = paths.map_err(DiskError::at(folder))?;
+    paths.sort_unstable();
+    Ok(paths)
 }

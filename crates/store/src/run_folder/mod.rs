@@ -365,9 +365,10 @@ impl RunFolder {
     pub fn read(&self, name: &str) -> Result<Option<Vec<u8>>, RunFolderError> {
         let manifest = self.lock_manifest();
         let bytes = manifest.read_contents(&self.folder, name)?;
-        let damaged = |problem| RunFolderError::damaged(&self.path(name), problem);
-        manifest.check(name, bytes.as_deref()).map_err(damaged)?;
-        Ok(bytes)
+        match manifest.check(name, bytes.as_deref()) {
+            Ok(()) => Ok(bytes),
+            Err(problem) => Err(RunFolderError::damaged(&self.path(name), problem)),
+        }
     }
 
     /// Reads a file that the run has written.

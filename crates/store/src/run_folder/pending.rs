@@ -42,7 +42,8 @@ impl PendingChange {
 
 /// Applies changes, without a check of the existing files, and syncs them to disk.
 pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), DiskError> {
-    let (mut parents, mut gone) = (BTreeSet::new(), Vec::new());
+    let mut parents = BTreeSet::new();
+    let mut gone = Vec::new();
     for change in changes {
         let path = folder.join(change.name());
         match change {

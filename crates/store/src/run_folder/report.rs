@@ -44,18 +44,22 @@ pub struct DamagedFile {
 impl FolderReport {
     /// Describes a folder.
     #[must_use]
-    pub fn new(folder: &Path, found: &FolderExamination) -> Self {
+    pub fn new(folder: &Path, examination: &FolderExamination) -> Self {
         Self {
             folder: folder.display().to_string(),
             error: None,
-            kind: Some(found.kind.clone()),
-            is_complete: found.is_complete,
-            is_of_this_build: found.is_of_this_build,
-            is_intact: found.is_intact(),
-            files: found.files.len(),
-            damaged: found.files.iter().filter_map(DamagedFile::new).collect(),
-            unlisted_files: found.unlisted_files.clone(),
-            unrelated_files: found.unrelated_files.clone(),
+            kind: Some(examination.kind.clone()),
+            is_complete: examination.is_complete,
+            is_of_this_build: examination.is_of_this_build,
+            is_intact: examination.is_intact(),
+            files: examination.files.len(),
+            damaged: examination
+                .files
+                .iter()
+                .filter_map(DamagedFile::new)
+                .collect(),
+            unlisted_files: examination.unlisted_files.clone(),
+            unrelated_files: examination.unrelated_files.clone(),
         }
     }
 

@@ -48,7 +48,9 @@ impl Prefix {
             None if self.bytes == 0 => return Ok(Ok(())),
             None => return Ok(Err(MISSING_FILE_MESSAGE.to_owned())),
         };
-        let (mut digest, mut part, mut left) = (Sha256::default(), vec![0; 1 << 16], self.bytes);
+        let mut digest = Sha256::default();
+        let mut part = vec![0; 1 << 16];
+        let mut left = self.bytes;
         loop {
             let count = file.read(&mut part).map_err(unreadable)?;
             if count == 0 {
@@ -88,30 +90,30 @@ impl FileState {
         }
     }
 
-    pub(super) fn matches_contents(&self, found: &[u8]) -> bool {
+    pub(super) fn matches_contents(&self, contents: &[u8]) -> bool {
         match self {
             // `Prefix::check_file` checks these.
             Self::AppendOnly(_) => true,
             Self::Whole {
                 bytes,
                 sha256: expected,
-            } => *bytes == found.len() as u64 && sha256(found) == *expected,
+            } => *bytes == contents.len() as u64 && sha256(contents) == *expected,
         }
     }
 
     pub(super) fn matches_file(&self, path: &Path) -> bool {
-        matches!(read_regular_file(path, self.max_bytes()), Ok(Some(found)) if self.matches_contents(&found))
+        matches!(read_regular_file(path, self.max_bytes()), Ok(Some(contents)) if self.matches_contents(&contents))
     }
 }
 
 /// Returns the length of a file; `None` if it does not exist. A link, folder or pipe is an error.
 pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderError> {
     match none_if_missing(fs::symlink_metadata(path)).map_err(DiskError::at(path))? {
-        Some(found) if !found.is_file() => Err(RunFolderError::damaged(
+        Some(metadata) if !metadata.is_file() => Err(RunFolderError::damaged(
             path,
             "is not a plain file: crumple keeps results in plain files only",
         )),
-        found => Ok(found.map(|found| found.len())),
+        metadata => Ok(metadata.map(|metadata| metadata.len())),
     }
 }
 

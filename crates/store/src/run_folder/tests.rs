@@ -54,7 +54,7 @@ fn only_written_files_are_read() {
 }
 
 #[test]
-fn another_folders_work_is_refused() {
+fn a_run_of_another_kind_or_configuration_is_refused() {
     let folder = finished_folder();
     for (asked, expected) in [
         (
@@ -96,10 +96,11 @@ fn any_damage_names_its_file() {
         let error = RunFolder::open(folder.path(), OPTIONS)
             .err()
             .map(|error| error.to_string());
-        let seen = examine(folder.path());
-        let is_seen = seen.is_err()
-            || seen.is_ok_and(|seen| {
-                seen.files
+        let examination = examine(folder.path());
+        let is_seen = examination.is_err()
+            || examination.is_ok_and(|examination| {
+                examination
+                    .files
                     .iter()
                     .any(|(file, found)| file == name && found.is_err())
             });
@@ -109,9 +110,9 @@ fn any_damage_names_its_file() {
     for (name, bytes) in names.iter().zip(&whole) {
         let path = folder.path().join(name);
         let says = |text: String| assert!(text.contains(name), "{name}: {text}");
-        for place in 0..bytes.len() {
+        for byte in 0..bytes.len() {
             let mut damaged = bytes.clone();
-            damaged[place] ^= 1 << (place % 8);
+            damaged[byte] ^= 1 << (byte % 8);
             fs::write(&path, damaged).unwrap();
             says(refused(name));
         }
@@ -178,23 +179,23 @@ fn the_next_writer_completes_an_announced_change() {
             b"fourth"
         );
     };
-    for made in 0..=3 {
+    for changes in 0..=3 {
         let (folder, _) = announced();
         let path = |name: &str| folder.path().join(name);
-        if made > 0 {
+        if changes > 0 {
             fs::rename(path(".crumple-unfinished-0"), path("a.json")).unwrap();
         }
-        if made > 1 {
+        if changes > 1 {
             fs::create_dir(path("new")).unwrap();
             fs::rename(path(".crumple-unfinished-1"), path("new/c.json")).unwrap();
         }
-        if made > 2 {
+        if changes > 2 {
             fs::remove_file(path("deep/b.json")).unwrap();
         }
-        let seen = examine(folder.path()).unwrap();
+        let examination = examine(folder.path()).unwrap();
         assert!(
-            seen.files.iter().all(|(_, state)| state.is_ok()),
-            "{seen:?}"
+            examination.files.iter().all(|(_, state)| state.is_ok()),
+            "{examination:?}"
         );
         is_new(folder.path());
     }
@@ -275,7 +276,7 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
 
 /// An unlisted file in a folder of the run, or at the path of an output, is named, and the run cannot resume.
 #[test]
-fn strangers_are_named_and_nothing_goes_on_beside_them() {
+fn unlisted_files_are_named_and_prevent_a_resume() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     let asked = RunFolderOptions {
@@ -283,10 +284,11 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
         ..OPTIONS
     };
     let named = |unlisted: &[&str]| {
-        let found = examine(root).unwrap();
+        let examination = examine(root).unwrap();
         assert!(
-            found.unlisted_files == unlisted && found.is_intact() == unlisted.is_empty(),
-            "{found:?}"
+            examination.unlisted_files == unlisted
+                && examination.is_intact() == unlisted.is_empty(),
+            "{examination:?}"
         );
         match (unlisted.first(), RunFolder::open(root, asked).err()) {
             (None, error) => assert!(error.is_none(), "{error:?}"),
@@ -416,7 +418,7 @@ fn leftover_files_are_neither_overwritten_nor_included() {
 
 /// An incomplete run belongs to its build; any build may read a complete one.
 #[test]
-fn half_done_work_of_another_build_is_refused() {
+fn an_incomplete_run_of_another_build_is_refused() {
     let folder = finished_folder();
     let path = folder.path().join(MANIFEST_FILE);
     let mut manifest = Manifest::read(&path).unwrap().unwrap();
@@ -450,10 +452,10 @@ fn a_folder_with_older_copies_is_examined_and_resumed() {
         folder.path().join("previous").join(MANIFEST_FILE),
     )
     .unwrap();
-    let seen = examine(folder.path()).unwrap();
+    let examination = examine(folder.path()).unwrap();
     assert!(
-        seen.is_intact() && seen.unrelated_files.is_empty(),
-        "{seen:?}"
+        examination.is_intact() && examination.unrelated_files.is_empty(),
+        "{examination:?}"
     );
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
     work.write("log", "3").unwrap();
@@ -487,12 +489,12 @@ fn damage_of_an_included_folder_is_damage() {
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join("rounds/01").join(name), "{}").unwrap();
         assert_refused(folder.path(), &format!("rounds/01/{name}: "));
-        let seen = examine(folder.path())
+        let damage = examine(folder.path())
             .unwrap()
             .files
             .into_iter()
             .find(|(_, state)| state.is_err());
-        assert_eq!(seen.unwrap().0, format!("rounds/01/{name}"));
+        assert_eq!(damage.unwrap().0, format!("rounds/01/{name}"));
     }
 }
 
@@ -530,12 +532,12 @@ fn files_of_a_wrong_size_are_not_read() {
             }
             assert_refused(folder.path(), name);
             match examine(folder.path()) {
-                Ok(seen) => {
-                    let is_damaged = seen
+                Ok(examination) => {
+                    let is_damaged = examination
                         .files
                         .iter()
                         .any(|(file, state)| file == name && state.is_err());
-                    assert!(is_damaged || seen.unlisted_files == [name], "{name}");
+                    assert!(is_damaged || examination.unlisted_files == [name], "{name}");
                 }
                 Err(error) => assert!(error.to_string().contains(name)),
             }

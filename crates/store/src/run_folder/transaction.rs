@@ -157,9 +157,9 @@ enum StateAfterChange {
 }
 
 /// Writes the contents of a file under a temporary name, without a sync.
-fn stage_file(place: PathBuf, contents: &[u8]) -> io::Result<StagedFile> {
-    none_if_missing(fs::remove_file(&place))?;
-    let mut file = File::create_new(&place)?;
+fn stage_file(path: PathBuf, contents: &[u8]) -> io::Result<StagedFile> {
+    none_if_missing(fs::remove_file(&path))?;
+    let mut file = File::create_new(&path)?;
     file.write_all(contents)?;
-    Ok((file, place))
+    Ok((file, path))
 }

@@ -152,11 +152,11 @@ impl BoundarySearch<'_> {
         command: [f64; 2],
     ) -> (f64, [[f64; 2]; AXIS_COUNT]) {
         let time_s = self.decision_time_s();
-        let [slow, fast] = command.map(|held| advance(own, held, time_s));
+        let [slow, fast] = command.map(|mps2| advance(own, mps2, time_s));
         let leader_ends = self
             .claim
             .leader_mps2
-            .map(|held| advance(leader, held, time_s));
+            .map(|mps2| advance(leader, mps2, time_s));
         let own_changes = [slow, fast].map(|end| end[1] - own);
         let leader_changes = leader_ends.map(|end| end[1] - leader);
         (leader_ends[0][0] - fast[0], [own_changes, leader_changes])

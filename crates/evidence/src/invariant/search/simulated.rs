@@ -46,7 +46,8 @@ impl BoundarySearch<'_> {
     /// Simulates a leader that accelerates for a while and then brakes, as hard as it may.
     fn collides(&mut self, mut gap_m: f64, state: [f64; AXIS_COUNT], accelerates_s: f64) -> bool {
         let [mut own, mut leader] = state;
-        let (claim, fastest) = (self.claim, self.claim.axes[1].high);
+        let claim = self.claim;
+        let fastest = claim.axes[1].high;
         let [brakes, accelerates] = claim.leader_mps2;
         let is_relative = claim.motion == MotionModel::Relative;
         let mut acceleration = 0.0;
