@@ -42,14 +42,14 @@ impl InitialSet {
         let script = leader_script(leader, spec.leader_brakes_at_most_mps2)?;
         check_vehicles_and_sensors(scenario, ego)?;
         let follower = match (rest, &spec.follower_drives) {
-            ([], None) => FollowerModel::default(),
+            ([], None) => InitialFollower::default(),
             ([], Some(_)) => {
                 return Err(InvalidBox::field(
                     FOLLOWER_FIELD,
                     "has no meaning without a follower",
                 ));
             }
-            ([follower], replacement) => FollowerModel::new(follower, replacement.as_ref())?,
+            ([follower], replacement) => InitialFollower::new(follower, replacement.as_ref())?,
             _ => {
                 return Err(invalid_scenario(
                     "only one vehicle may follow the vehicle under test",
@@ -179,12 +179,12 @@ fn range_or_point(range: Option<Interval>, value: f64) -> Interval {
 
 /// Model of a follower: the TTC threshold of its latched emergency brake, or a control law.
 #[derive(Default)]
-struct FollowerModel {
+struct InitialFollower {
     ttc_s: Option<f64>,
     law: Option<FollowerLaw>,
 }
 
-impl FollowerModel {
+impl InitialFollower {
     /// Creates the model, with `replacement` instead of the follower's controller if given.
     fn new(follower: &VehicleSpec, replacement: Option<&Driver>) -> Result<Self, InvalidBox> {
         let driver = replacement.unwrap_or(&follower.driver);

@@ -260,9 +260,9 @@ fn checkpoints_of_another_training_are_refused() {
         assert!(error.contains(words), "{error}");
     };
     // Any byte of the arrays, and numbers of the header on which no array depends.
-    for length in [bytes.len() - 1, bytes.len() / 2] {
+    for index in [bytes.len() - 1, bytes.len() / 2] {
         let mut changed = bytes.clone();
-        changed[length] ^= 1;
+        changed[index] ^= 1;
         says(&changed, "does not match its SHA-256");
     }
     let edited = |from: &str, to: &str| {
@@ -271,7 +271,7 @@ fn checkpoints_of_another_training_are_refused() {
             .position(|window| window == from.as_bytes())
             .unwrap();
         [
-            &bytes[..place],
+            &bytes[..offset],
             to.as_bytes(),
             &bytes[offset + from.len()..],
         ]
