@@ -100,7 +100,7 @@ mod tests {
             (3, "says", "summary"),
             (4, "push", "parameter"),
         ];
-        assert_eq!(NAMES.find(text), found);
+        assert_eq!(NAMES.find(text), old_names);
         assert_eq!(NAMES.find("summary = \"says\"\nend = 1\n"), []);
         assert_eq!(NAMES.find("says = "), [], "the reader reports the error");
     }
