@@ -95,7 +95,7 @@ mod tests {
     fn each_old_name_is_reported_once_at_its_first_line() {
         let text =
             "limit = \"end\"\n[[clauses]]\nsays = \"push\"\ntests = [{ push = 1 }, { push = 2 }]\n";
-        let expected = [
+        let old_names = [
             (1, "end", "termination"),
             (3, "says", "summary"),
             (4, "push", "parameter"),
