@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
-use crumple_sim::control::BuiltInController;
+use crumple_sim::control::{BuiltInController, CONTROLLERS_FOR_TESTS};
 use crumple_sim::scenario::built_in_scenario_names;
 use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
 
@@ -30,8 +30,11 @@ const FILE_ENTRY: (&str, &str) = (
 /// `crumple show NAME` prints a scenario, a scenario space, a preset, a suite or a map as a file.
 #[derive(Args)]
 pub(super) struct ListCommand {
-    /// Items to list [default: all]
+    /// Items to list [default: all kinds]
     what: Option<Catalogue>,
+    /// List the built-in controllers that serve tests and comparisons, too
+    #[arg(long)]
+    all: bool,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
@@ -74,30 +77,18 @@ impl Catalogue {
         }
     }
 
-    fn entries(self) -> Vec<CatalogueEntry> {
+    /// Returns the items; those that serve tests only if `all` is true.
+    fn entries(self, all: bool) -> Vec<CatalogueEntry> {
         match self {
             Self::Scenarios => built_in_scenario_names().map(CatalogueEntry::from).into(),
             Self::Controllers => {
-                let built_in = BuiltInController::all();
-                let own = built_in.iter().map(|spec| {
-                    let settings: Vec<_> = spec
-                        .values()
-                        .map(|(field, value)| match field.none_value {
-                            Some(none) if none == value => format!("{}={value} (none)", field.name),
-                            _ => format!("{}={value}", field.name),
-                        })
-                        .collect();
-                    let settings = if settings.is_empty() {
-                        String::new()
-                    } else {
-                        format!("; {}", settings.join(","))
-                    };
-                    CatalogueEntry {
-                        name: spec.name(),
-                        summary: format!("{}{settings}", spec.summary()),
-                    }
+                let mut controllers = BuiltInController::all();
+                controllers.retain(|controller| {
+                    all || !CONTROLLERS_FOR_TESTS.contains(&controller.name())
                 });
-                own.chain([SHIELD_ENTRY.into()]).collect()
+                let mut entries: Vec<_> = controllers.iter().map(controller_entry).collect();
+                entries.push(SHIELD_ENTRY.into());
+                entries
             }
             Self::Spaces => BUILT_IN_SPACES
                 .into_iter()
@@ -112,6 +103,25 @@ impl Catalogue {
     }
 }
 
+/// Returns the entry of a controller: its summary with the default values of its settings.
+fn controller_entry(controller: &BuiltInController) -> CatalogueEntry {
+    let settings: Vec<_> = controller
+        .values()
+        .map(|(field, value)| match field.none_value {
+            Some(none) if none == value => format!("{}={value} (none)", field.name),
+            _ => format!("{}={value}", field.name),
+        })
+        .collect();
+    let mut summary = controller.summary().to_owned();
+    if !settings.is_empty() {
+        summary += &format!("; {}", settings.join(","));
+    }
+    CatalogueEntry {
+        name: controller.name(),
+        summary,
+    }
+}
+
 impl ListCommand {
     pub(super) fn run(self) -> Result<(), CliError> {
         let catalogues = match self.what {
@@ -121,24 +131,24 @@ impl ListCommand {
         let all: serde_json::Map<_, _> = catalogues
             .iter()
             .map(|catalogue| {
-                let entries = serde_json::json!(catalogue.entries());
+                let entries = serde_json::json!(catalogue.entries(self.all));
                 (catalogue.title().to_owned(), entries)
             })
             .collect();
         output::print_result(self.format, &all, || {
-            format_catalogues(&catalogues, output_columns())
+            format_catalogues(&catalogues, self.all, output_columns())
         })
     }
 }
 
-fn format_catalogues(catalogues: &[Catalogue], columns: usize) -> String {
+fn format_catalogues(catalogues: &[Catalogue], all: bool, columns: usize) -> String {
     let mut text = String::new();
     for (index, catalogue) in catalogues.iter().enumerate() {
         if catalogues.len() > 1 {
             let gap = if index == 0 { "" } else { "\n" };
             let _ = writeln!(text, "{gap}{}", catalogue.title());
         }
-        for CatalogueEntry { name, summary } in catalogue.entries() {
+        for CatalogueEntry { name, summary } in catalogue.entries(all) {
             write_entry(&mut text, name, &summary, columns);
         }
         if let Catalogue::Controllers = catalogue {

@@ -5,6 +5,11 @@ use std::path::Path;
 
 use tempfile::TempDir;
 
+use crumple_learn::rl::TrainingConfig;
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_spaces::file;
+use crumple_suites::TestSuite;
+
 use crate::command_line::{exit_code, run_crumple, stderr, stdout, temp_folder};
 use crate::damage::{assert_same_contents, read_files};
 
@@ -166,6 +171,60 @@ const COMMANDS_0_3_0: [ExpectedOutput; 11] = [
     ),
 ];
 
+/// Files with the names of fields before 0.4.0 are read, with one message for each name.
+const OLD_NAMES_0_3_0: [ExpectedOutput; 12] = [
+    ("simulate scenario.toml --controller idm", 0, "emergency"),
+    (
+        "suite run suite.toml --controller idm",
+        0,
+        "suite.toml:6: `figures_from` is now `parameter_source`",
+    ),
+    (
+        "suite run suite.toml --controller idm",
+        0,
+        "suite.toml:17: `push` is now `parameter`",
+    ),
+    (
+        "falsify --controller idm --space space.toml --budget 3 --out searched",
+        0,
+        "space.toml:33: `waves` is now `braking_clusters`",
+    ),
+    (
+        "train --preset training-preset.toml --seed 3 --episodes 12 --out training --resume",
+        0,
+        "training-preset.toml:49: `soft_update` is now `tau`",
+    ),
+    (
+        "assess assessment.toml --out report --against assessment.json",
+        0,
+        "assessment.toml:15: `needless-braking-at-most` is now `unnecessary-braking-at-most`",
+    ),
+    (
+        "assess assessment.toml --out report --against assessment.json",
+        0,
+        "0 worse, 0 new, 0 gone, 0 changed without being better or worse",
+    ),
+    (
+        "falsify --controller match-leader --against idm --space space.toml --budget 30 --seed 3 --out \
+         search-in-fitted-space --resume",
+        0,
+        "vehicle 2 (light) hits the ego (vehicle 1)",
+    ),
+    (
+        "verify rate --controller idm --space space.toml --runs 200 --seed 3 --confidence 0.9 --out \
+         count-in-fitted-space --resume",
+        0,
+        "of 200 runs",
+    ),
+    (
+        "check count-in-fitted-space/certificate.json",
+        0,
+        "accepted",
+    ),
+    ("check certificates/heavy-behind-heavy.json", 0, "accepted"),
+    ("check certificates/rate-policy.json", 0, "accepted"),
+];
+
 fn check_commands(version: &str, commands: &[ExpectedOutput]) -> TempDir {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let policy = root.join("corpora/scenarios/policies/reference-94021f6edd21.safetensors");
@@ -186,6 +245,54 @@ fn check_commands(version: &str, commands: &[ExpectedOutput]) -> TempDir {
 #[test]
 fn files_of_0_1_0_are_read_or_refused() {
     check_commands("0.1.0", &COMMANDS_0_1_0);
+}
+
+#[test]
+fn files_of_0_3_0_with_old_names_are_read() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = check_commands("0.3.0", &OLD_NAMES_0_3_0);
+    for kind in ["search-in-fitted-space", "count-in-fitted-space"] {
+        assert_same_contents(
+            &read_files(&folder.path().join(kind)),
+            &read_files(&root.join("corpora/versions/0.3.0").join(kind)),
+            kind,
+        );
+    }
+}
+
+/// Every field that was renamed has the same meaning in a file of 0.3.0.
+#[test]
+fn presets_suites_and_spaces_of_0_3_0_have_present_names() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/versions/0.3.0");
+    let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
+    let present =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/learn/src/rl/tests/every-field.toml");
+    let present = fs::read_to_string(present).unwrap();
+    let old = read("every-field-preset.toml");
+    let preset = |text: &str| TrainingConfig::parse(text, Path::new("preset.toml")).unwrap();
+    assert_eq!(preset(&old), preset(&present));
+    let path = Path::new("file.toml");
+    let suite = TestSuite::from_toml(&read("suite.toml"), path).unwrap();
+    let written = toml::to_string(suite.spec()).unwrap();
+    assert_eq!(TestSuite::from_toml(&written, path).unwrap(), suite);
+    let space = file::from_toml(&read("space.toml"), path, &NoDriverFiles).unwrap();
+    let written = file::to_toml(&space).unwrap();
+    let same = file::from_toml(&written, path, &NoDriverFiles).unwrap();
+    assert_eq!(same.spec(), space.spec());
+    for text in [&present, &toml::to_string(suite.spec()).unwrap(), &written] {
+        for old in [
+            "soft_update",
+            "needless",
+            "imposed",
+            "figures",
+            "push",
+            "says",
+            "left_out",
+            "waves",
+        ] {
+            assert!(!text.contains(old), "{old}: {text}");
+        }
+    }
 }
 
 /// Reading changes no file.

@@ -30,7 +30,7 @@ use crumple_core::digest::sha256;
 use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
 use crumple_report::draw::WRITES_PNG;
 use crumple_report::export::WRITES_PARQUET;
-use crumple_sim::control::BuiltInController;
+use crumple_sim::control::{BuiltInController, CONTROLLERS_FOR_TESTS};
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
 
@@ -569,8 +569,17 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
 #[test]
 fn list_names_all_inputs_of_simulate() {
     let folder = temp_folder();
-    let all = run_crumple(folder.path(), "list");
+    let all = run_crumple(folder.path(), "list --all");
     assert_eq!((exit_code(&all), stderr(&all)), (0, ""));
+    // Controllers for tests are listed on request only.
+    let usual = run_crumple(folder.path(), "list controllers");
+    for name in CONTROLLERS_FOR_TESTS {
+        let entry = format!("\n  {name} ");
+        assert!(
+            stdout(&all).contains(&entry) && !stdout(&usual).contains(&entry),
+            "{name}"
+        );
+    }
     let controllers = BuiltInController::all();
     for name in PAPER_SCENARIOS
         .into_iter()
@@ -592,7 +601,7 @@ fn list_names_all_inputs_of_simulate() {
     for off in ["set_speed_mps=100 (none)\n", "aeb_ttc_s=0 (none),"] {
         assert!(stdout(&all).contains(off), "{off:?}");
     }
-    let listed = &json_objects(&run_crumple(folder.path(), "list --format json"))[0];
+    let listed = &json_objects(&run_crumple(folder.path(), "list --all --format json"))[0];
     let words = |text: &str| text.split_whitespace().collect::<String>();
     for entry in ["scenarios", "controllers", "spaces", "methods"]
         .iter()

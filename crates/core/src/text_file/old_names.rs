@@ -23,7 +23,7 @@ impl OldNames {
     pub fn warn(&self, text: &str, path: &Path) {
         for (line, old, new) in self.find(text) {
             log::warn!(
-                "{}:{line}: `{old}` is now called `{new}`; releases after 0.5 will refuse the old name",
+                "{}:{line}: `{old}` is now `{new}`; releases after 0.5 will refuse the old name",
                 path.display()
             );
         }

@@ -8,7 +8,6 @@ use crumple_suites::{ControllerResult, SuiteResult, TestResult, TestVerdict};
 #[must_use]
 pub fn render_junit(result: &SuiteResult) -> String {
     let suites = result.clauses.iter().map(|clause| {
-        let document = format!("{}, {}", result.document, result.edition);
         let tests = clause.tests.iter().flat_map(|test| {
             test.controllers
                 .iter()
@@ -16,11 +15,8 @@ pub fn render_junit(result: &SuiteResult) -> String {
         });
         JunitSuite {
             name: format!("{} {}", result.suite, clause.clause),
-            properties: vec![
-                ("statement".to_owned(), result.statement.to_string()),
-                ("document".to_owned(), document),
-            ],
             cases: tests.collect(),
+            ..JunitSuite::default()
         }
     });
     junit::render_xml("crumple suite", &suites.collect::<Vec<_>>())

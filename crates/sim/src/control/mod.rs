@@ -6,6 +6,16 @@
 //! controller is then part of the command line, scenario files, their schema, spaces, lists, the lockstep engine and
 //! the fuzzing strategies.
 
+/// Built-in controllers that serve tests and comparisons rather than driving. `crumple list` shows them on request.
+pub const CONTROLLERS_FOR_TESTS: [&str; 6] = [
+    "baseline-unlatched",
+    "match-leader",
+    "constant-brake",
+    "full-throttle",
+    "random-actions",
+    "retrained",
+];
+
 /// Passes the table to a macro. A row of `rules` is a controller type. A row of `policies` is a name and the type that
 /// provides the policy. The documentation of a row is the description of its name in the schema of scenario files.
 macro_rules! with_controllers {
