@@ -276,7 +276,7 @@ impl RateCommand {
             seed: self.seed,
             effort: SplittingConfig {
                 samples: self.samples.unwrap_or(500) as usize,
-                repetitions: self.repetitions.unwrap_or(20) as usize,
+                repetition_count: self.repetitions.unwrap_or(20) as usize,
             },
             resamples: self.resamples.unwrap_or(80),
         };

@@ -73,7 +73,7 @@ fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         seed,
         effort: SplittingConfig {
             samples: 50,
-            repetitions: 10,
+            repetition_count: 10,
         },
         resamples: 0,
     };

@@ -27,6 +27,7 @@ pub mod interval;
 pub mod markdown;
 pub mod non_finite;
 pub mod observer;
+pub mod old_names;
 pub mod quoting;
 pub mod regular_file;
 pub mod text_file;

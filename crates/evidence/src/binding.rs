@@ -403,7 +403,7 @@ fn check_registration(
     opener: Controllers,
 ) -> Result<(), BindingError> {
     let space = read_space(certificate, opener)?;
-    let text = crumple_spaces::file::to_toml(&space).unwrap_or_default();
+    let text = crumple_spaces::file::to_identity_toml(&space).unwrap_or_default();
     if sha256(text) != configuration_value(registration, "space_sha256") {
         return Err(mismatch(
             "provenance.scenario_text",

@@ -108,7 +108,9 @@ impl CertificateReport<'_> {
             .as_ref()
             .filter(|_| !self.certificate.is_first_version())?;
         let built_in = match self.certificate.statement.subject() {
-            ClaimSubject::Runs(_) => space_file::to_toml(&built_in_space(&provenance.scenario)?),
+            ClaimSubject::Runs(_) => {
+                space_file::to_identity_toml(&built_in_space(&provenance.scenario)?)
+            }
             _ => file::to_toml(&built_in_scenario(&provenance.scenario)?),
         };
         Some(built_in.is_ok_and(|built_in| built_in == *text))

@@ -46,7 +46,7 @@ pub(crate) fn rare_plan(seed: u64, repetitions: usize) -> RarePlan {
         seed,
         effort: SplittingConfig {
             samples: 50,
-            repetitions,
+            repetition_count: repetitions,
         },
         resamples: 0,
     }

@@ -250,7 +250,7 @@ impl RatePlan {
     /// ```
     pub fn new(config: RateConfig) -> Result<Self, InvalidRate> {
         config.check()?;
-        let space_text = file::to_toml(&config.space)?;
+        let space_text = file::to_identity_toml(&config.space)?;
         let registration = Registration {
             configuration: config.registered_facts(&space_text)?,
             runs: config.runs,

@@ -560,7 +560,7 @@ proptest! {
         let edits = json!({ "friction": 0.9, "vehicles": [{ "vehicle": 1, "gap_m": 30.0 }] });
         let whole = run_request(&edits).to_string().into_bytes();
         let end = (at * whole.len() as f64) as usize;
-        let damaged = [&whole[..place], &put, whole.get(end + cut..).unwrap_or_default()].concat();
+        let damaged = [&whole[..end], &put, whole.get(end + cut..).unwrap_or_default()].concat();
         let (status, answer) = post("run", &damaged);
         prop_assert!(status == 200 || (400..500).contains(&status), "{status}: {answer}");
         let message = answer["error"]["message"].as_str().unwrap_or_default();

@@ -70,7 +70,7 @@ impl StudySubject {
             specification,
             seed,
             space: space.name().to_owned(),
-            space_sha256: Some(sha256(file::to_toml(space)?)),
+            space_sha256: Some(sha256(file::to_identity_toml(space)?)),
         })
     }
 

@@ -3,16 +3,14 @@
 use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceProblem, SpaceSpec};
+use crumple_core::old_names;
 use crumple_core::text_file::{FileError, OldNames, line_in_toml, parse_toml, read};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{InvalidField, OpenDriver};
 
 /// Names of space files before 0.4.
 const OLD_NAMES: OldNames = OldNames {
-    fields: &[
-        ("left_out", "undescribed_brakings"),
-        ("waves", "braking_clusters"),
-    ],
+    fields: old_names::SPACE,
     values: &[],
 };
 
@@ -55,4 +53,23 @@ pub fn from_toml(
 /// None for a valid space; passes on the error of the serializer.
 pub fn to_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
     toml::to_string(space.spec())
+}
+
+/// Returns the text that identifies a space in hashes, and that certificates contain: [`to_toml`] with the names of
+/// version 1, so that records of 0.3.0 name the same space.
+///
+/// # Errors
+/// Those of [`to_toml`].
+pub fn to_identity_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
+    let text = to_toml(space)?;
+    Ok(old_names::with_version_1_names(&text, old_names::SPACE))
+}
+
+/// Returns the JSON that identifies a space in hashes, with the names of version 1.
+///
+/// # Errors
+/// None for a valid space; passes on the error of the serializer.
+pub fn to_identity_json(space: &ScenarioSpace) -> Result<String, serde_json::Error> {
+    let text = serde_json::to_string(space.spec())?;
+    Ok(old_names::with_version_1_names(&text, old_names::SPACE))
 }

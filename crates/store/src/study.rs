@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use crumple_core::observer::Observer;
+use crumple_core::old_names;
 use crumple_core::text_file;
 
 use crate::program::OTHER_BUILD_MESSAGE;
@@ -274,10 +275,19 @@ fn differs_in_version_only(file: &str, existing: &str, asked: &str) -> bool {
         (Some(mut existing), Some(mut asked)) => {
             existing.remove(VERSION_FIELD);
             asked.remove(VERSION_FIELD);
-            existing == asked
+            with_version_1_names(existing) == with_version_1_names(asked)
         }
         _ => false,
     }
+}
+
+/// Returns the fields with the names of version 1. Applied to both sides of a comparison, no name is ambiguous.
+fn with_version_1_names(fields: serde_json::Map<String, Value>) -> Value {
+    let mut value = Value::Object(fields);
+    for renames in [old_names::TRAINING, old_names::SPACE, old_names::STUDY] {
+        old_names::rename_to_version_1(&mut value, renames);
+    }
+    value
 }
 
 /// Field with the version of crumple.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crumple_core::old_names;
 use crumple_core::text_file::OldNames;
 
 use super::parameter::{ImpactLimit, Origin, ParameterKind, TestParameter, TestParameters};
@@ -9,15 +10,7 @@ use super::run::Criterion;
 
 /// Names of suite files before 0.4.
 pub(crate) const OLD_NAMES: OldNames = OldNames {
-    fields: &[
-        ("figures_from", "parameter_source"),
-        ("outside", "not_modelled"),
-        ("left_out", "omitted_parameters"),
-        ("says", "summary"),
-        ("refused", "refusal_reason"),
-        ("figures", "parameters"),
-        ("push", "parameter"),
-    ],
+    fields: old_names::SUITE,
     values: &[],
 };
 

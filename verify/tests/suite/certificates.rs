@@ -321,7 +321,7 @@ proptest! {
         let places: Vec<String> =
             support::mutants::json_pointers(&file).into_iter().filter(|p| file.pointer(p).unwrap().is_f64()).collect();
         for (index, value) in changes {
-            *file.pointer_mut(place.get(&places).as_str()).unwrap() = json!(value);
+            *file.pointer_mut(index.get(&places).as_str()).unwrap() = json!(value);
         }
         if let Ok(certificate) = Certificate::from_json(&file.to_string()) && check(&certificate).is_ok() {
             let scene = match &certificate.statement {

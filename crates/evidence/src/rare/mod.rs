@@ -52,14 +52,14 @@ pub struct SplittingConfig {
     pub samples: usize,
     /// Number of independent populations, at least 5.
     #[serde(alias = "populations")]
-    pub repetitions: usize,
+    pub repetition_count: usize,
 }
 
 impl SplittingConfig {
     fn clamped(self) -> Self {
         Self {
             samples: self.samples.max(50),
-            repetitions: self.repetitions.max(5),
+            repetition_count: self.repetition_count.max(5),
         }
     }
 }
@@ -68,7 +68,7 @@ impl Default for SplittingConfig {
     fn default() -> Self {
         Self {
             samples: 500,
-            repetitions: 20,
+            repetition_count: 20,
         }
     }
 }

@@ -41,7 +41,7 @@ pub struct RarePlan {
 /// Effort in a space that is fitted to a resample: the spread over resamples matters, not the single estimate.
 const RESAMPLE_EFFORT: SplittingConfig = SplittingConfig {
     samples: 100,
-    repetitions: 5,
+    repetition_count: 5,
 };
 
 /// Reason why an estimate fails.

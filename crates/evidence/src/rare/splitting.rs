@@ -257,7 +257,7 @@ impl SplittingLevels {
     pub fn planned_runs(&self) -> u64 {
         let moves = MOVES_PER_LEVEL * self.stages.len().saturating_sub(1);
         if self.reaches_failure {
-            (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64
+            (self.effort.repetition_count * self.effort.samples * (1 + moves)) as u64
         } else {
             0
         }
@@ -284,7 +284,7 @@ impl SplittingLevels {
         counter: &ProgressCounter<'_>,
     ) -> Result<Vec<Repetition>, P::Error> {
         let planned = if self.reaches_failure {
-            self.effort.repetitions as u64
+            self.effort.repetition_count as u64
         } else {
             0
         };
@@ -313,7 +313,7 @@ impl SplittingLevels {
 
     /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
     pub(super) fn repetitions_per_write(&self) -> u64 {
-        let runs_each = (self.planned_runs() / self.effort.repetitions.max(1) as u64).max(1);
+        let runs_each = (self.planned_runs() / self.effort.repetition_count.max(1) as u64).max(1);
         MIN_RUNS_PER_WRITE
             .div_ceil(runs_each)
             .max(rayon::current_num_threads() as u64)

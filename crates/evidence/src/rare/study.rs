@@ -80,7 +80,7 @@ impl RareState {
     /// Returns the approximate number of runs of the completed repetitions.
     #[must_use]
     pub fn completed_runs(&self, plan: &RarePlan) -> u64 {
-        let all = plan.effort.repetitions as u64;
+        let all = plan.effort.repetition_count as u64;
         let done = self.completed_repetitions();
         let pilot = self.saved.pilot.as_ref();
         pilot.map_or(0, |pilot| pilot.runs_of(done, all).0)
@@ -102,7 +102,7 @@ impl Study for RarePlan {
             "controller": self.controller.name,
             "controller_sha256": self.controller.source.identity(),
             "estimator": self.estimator,
-            "space_sha256": sha256(file::to_toml(&self.space)?),
+            "space_sha256": sha256(file::to_identity_toml(&self.space)?),
             "failure": self.failure_description(),
             "seed": self.seed,
             "effort": self.effort,
@@ -143,7 +143,7 @@ impl Study for RarePlan {
             state.saved.write(folder)?;
             return Ok(StudyStep::Continue);
         };
-        let all = self.effort.repetitions as u64;
+        let all = self.effort.repetition_count as u64;
         let done = state.saved.completed_repetitions();
         if pilot.reaches_failure() && done < all {
             let end = all.min(done.saturating_add(pilot.repetitions_per_write()));
@@ -286,7 +286,7 @@ impl SavedProgress {
         let is_pilot_of_plan = pilot.is_none_or(|pilot| pilot.is_placed_by(plan.effort, plan.seed));
         is_pilot_of_plan
             && self.repetitions.as_ref().is_none_or(|repetitions| {
-                repetitions.len() as u64 <= plan.effort.repetitions as u64
+                repetitions.len() as u64 <= plan.effort.repetition_count as u64
                     && pilot.is_some_and(|pilot| pilot.is_consistent_with(repetitions))
             })
     }

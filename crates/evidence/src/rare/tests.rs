@@ -330,7 +330,7 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
     }
     assert_eq!(
         estimated.repetitions.len(),
-        SplittingConfig::default().repetitions
+        SplittingConfig::default().repetition_count
     );
 }
 
@@ -353,7 +353,7 @@ fn a_larger_pilot_reaches_a_failure_that_the_first_one_misses() {
     );
     let effort = SplittingConfig {
         samples: 100,
-        repetitions: 10,
+        repetition_count: 10,
     };
     let (mut ratios, mut retries) = (Vec::new(), 0);
     for seed in 0..200 {
@@ -436,7 +436,7 @@ fn splitting_agrees_with_counting_in_a_space() {
     let estimator = EstimatorKind::Kalman;
     let effort = SplittingConfig {
         samples: 200,
-        repetitions: 10,
+        repetition_count: 10,
     };
     let plan = RarePlan {
         estimator,

@@ -73,7 +73,7 @@ impl RareReport {
             )?;
         }
         if self.estimate.levels.len() == 1 && self.estimate.probability.is_some() {
-            let runs = self.effort.samples * self.effort.repetitions;
+            let runs = self.effort.samples * self.effort.repetition_count;
             writeln!(
                 out,
                 "  not rare: a single level, direct count of {runs} runs"

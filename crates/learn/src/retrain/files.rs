@@ -35,7 +35,7 @@ pub(super) fn space_sha256(space: &ScenarioSpace) -> Result<String, RunFolderErr
 
 /// Returns a space as JSON.
 pub(super) fn space_json(space: &ScenarioSpace) -> Result<String, RunFolderError> {
-    serde_json::to_string(space.spec()).map_err(encoding_error)
+    crumple_spaces::file::to_identity_json(space).map_err(encoding_error)
 }
 
 /// Returns the error about a scenario or space that cannot be encoded.

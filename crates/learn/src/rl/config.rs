@@ -14,6 +14,7 @@ use super::serde_helpers::deserialize_f32_no_underflow;
 use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_controllers::Controllers;
+use crumple_core::old_names;
 use crumple_core::text_file::{self, OldNames, is_default};
 use crumple_sim::observation::EstimatorKind;
 
@@ -308,19 +309,7 @@ pub const PRESETS: [(&str, &str); 4] = [
 
 /// Names of training configurations before 0.4.
 const OLD_NAMES: OldNames = OldNames {
-    fields: &[
-        ("decision_steps", "action_repeat"),
-        ("soft_update", "tau"),
-        ("rates_fall", "lr_decay"),
-        ("to_share", "final_factor"),
-        ("random_episodes", "learning_starts_episode"),
-        ("contact_share", "collision_fraction"),
-        ("useful_draws", "usefulness_draws"),
-        ("mean_over_updates", "weight_average_updates"),
-        ("imposed", "induced_braking"),
-        ("needless", "unnecessary_braking"),
-        ("costs_times", "cost_multiplier"),
-    ],
+    fields: old_names::TRAINING,
     values: &[("end", "termination")],
 };
 
@@ -356,6 +345,17 @@ impl TrainingConfig {
             .check()
             .map_err(|error| error.with_location(text, path))?;
         Ok(config)
+    }
+
+    /// Returns the configuration for the header of a policy, with the names of version 1: the bytes of a policy
+    /// identify it, also in certificates.
+    ///
+    /// # Errors
+    /// [`serde_json::Error`] in principle, if a number is not finite.
+    pub fn to_header_value(&self) -> Result<serde_json::Value, serde_json::Error> {
+        let mut value = serde_json::to_value(self)?;
+        old_names::rename_to_version_1(&mut value, old_names::TRAINING);
+        Ok(value)
     }
 
     pub(super) fn transition_layout(&self) -> TransitionLayout {

@@ -13,6 +13,7 @@ use super::runner::{TrainingEvent, TrainingRecorder, end_training, start_trainin
 use super::source::ScenarioSource;
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
+use crumple_core::{old_names, text_file};
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::{FolderTransaction, MANIFEST_FILE, RunFolder, RunFolderError};
 use crumple_store::study::{self, Study, StudyStep};
@@ -101,12 +102,14 @@ impl Study for SeedTraining<'_> {
     type Report = SeedResult;
     type Error = TrainingError;
 
-    /// Returns everything that determines a training, except the number of episodes, which may grow.
+    /// Returns everything that determines a training, except the number of episodes, which may grow; with the names of
+    /// version 1, so that a finished training of 0.3.0 is recognised.
     fn configuration(&self) -> Result<String, TrainingError> {
         let config = config_toml(&TrainingConfig {
             episodes: 0,
             ..self.config.clone()
         })?;
+        let config = old_names::with_version_1_names(&config, old_names::TRAINING);
         Ok(format!("seed = {}\n{config}", self.seed))
     }
 
@@ -115,8 +118,8 @@ impl Study for SeedTraining<'_> {
     }
 
     fn is_finished(&self, folder: &RunFolder) -> Result<bool, TrainingError> {
-        let asked = config_toml(self.config)?.into_bytes();
-        Ok(folder.is_complete() && folder.read(CONFIGURATION)? == Some(asked))
+        let existing = folder.read(CONFIGURATION)?.unwrap_or_default();
+        Ok(folder.is_complete() && is_same_config(self.config, &existing)?)
     }
 
     fn load(&self, folder: &RunFolder) -> Result<SeedTrainingState, TrainingError> {
@@ -347,6 +350,16 @@ fn read_if_finished(
     }
     let log = String::from_utf8_lossy(&run_folder.read_required(LOG)?).into_owned();
     Ok(Some((run_folder.read_required_json(RESULT)?, log)))
+}
+
+/// True if the text of a finished training, with present or old names, is this configuration.
+fn is_same_config(config: &TrainingConfig, existing: &[u8]) -> Result<bool, TrainingError> {
+    let asked = config_toml(config)?;
+    let existing = String::from_utf8_lossy(existing);
+    match text_file::parse_toml::<TrainingConfig>(&existing, Path::new(CONFIGURATION)) {
+        Ok(existing) => Ok(config_toml(&existing)? == asked),
+        Err(_) => Ok(false),
+    }
 }
 
 fn config_toml(config: &TrainingConfig) -> Result<String, TrainingError> {

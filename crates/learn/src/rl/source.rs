@@ -58,7 +58,7 @@ impl ScenarioSource for ScenarioSpace {
     }
 
     fn identity(&self) -> Result<Option<String>, serde_json::Error> {
-        let digest = sha256(serde_json::to_string(self.spec())?);
+        let digest = sha256(crumple_spaces::file::to_identity_json(self)?);
         Ok(Some(format!(
             "the space `{}` (sha256 {digest})",
             self.name()

@@ -428,7 +428,9 @@ impl Trainer {
         network: Network,
         episode: u64,
     ) -> Result<Policy, TrainingError> {
-        let mut training = serde_json::to_value(&self.config)
+        let mut training = self
+            .config
+            .to_header_value()
             .map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
         if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()?)
         {

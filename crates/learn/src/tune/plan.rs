@@ -179,7 +179,7 @@ impl TuningPlan {
 
 impl<'a> SpaceRecord<'a> {
     fn new(TuningSpace { space, weight }: &'a TuningSpace) -> Result<Self, RunFolderError> {
-        let json = serde_json::to_string(space.spec()).map_err(encoding_error)?;
+        let json = crumple_spaces::file::to_identity_json(space).map_err(encoding_error)?;
         Ok(Self {
             space: space.name(),
             weight: *weight,

@@ -60,7 +60,7 @@ pub(super) struct NamedSpace {
 
 impl NamedSpace {
     fn new(name: &str, space: ScenarioSpace) -> Result<Self, toml::ser::Error> {
-        let text = space_file::to_toml(&space)?;
+        let text = space_file::to_identity_toml(&space)?;
         Ok(Self {
             name: name.to_owned(),
             content_id: ContentId::new(space.name(), &text),
@@ -681,8 +681,8 @@ impl PlanLoader<'_> {
             let named = NamedSpace::new(name, space)
                 .map_err(|error| self.field_error(&field, error.to_string()))?;
             let own_name = named.space.name();
-            let built_in =
-                built_in_space(own_name).and_then(|space| space_file::to_toml(&space).ok());
+            let built_in = built_in_space(own_name)
+                .and_then(|space| space_file::to_identity_toml(&space).ok());
             let is_same = built_in.is_none_or(|built_in| built_in == named.text);
             self.ensure(is_same, &field, || {
                 format!(

@@ -113,7 +113,7 @@ fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
 }
 
 fn space_id(space: &ScenarioSpace) -> Result<ContentId, CacheError> {
-    let text = space_file::to_toml(space).map_err(CacheError::encoding)?;
+    let text = space_file::to_identity_toml(space).map_err(CacheError::encoding)?;
     Ok(ContentId::new(space.name(), text))
 }
 
