@@ -115,8 +115,8 @@ fn schemas_are_those_of_the_types() {
         "crates/report/src/assessment/configuration.schema.json",
         &config,
     );
-    let evidence = serde_json::to_value(&*BUILT_IN_ASSESSMENT).expect("serializes");
-    validate(&evidence, &evidence, &evidence, "evidence").expect("as the schema says");
+    let report = serde_json::to_value(&*BUILT_IN_ASSESSMENT).expect("serializes");
+    validate(&evidence, &evidence, &report, "evidence").expect("as the schema says");
     let default = serde_json::to_value(AssessConfig::default()).expect("serializes");
     validate(&config, &config, &default, "configuration").expect("as the schema says");
 }
