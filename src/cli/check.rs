@@ -192,7 +192,7 @@ impl Check {
                 seed: (percent < 100.0).then_some(seed),
             }),
             Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted {
-                because: refuted.to_string(),
+                reason: refuted.to_string(),
             }),
             Err(error) => Err(CliError::at(path, error)),
         }

@@ -165,7 +165,7 @@ impl SearchExpectation {
                     Some(unanswered) => Err(CliError::Gate(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \
                          no answer: {}",
-                        unanswered.because
+                        unanswered.reason
                     ))),
                     None => Ok(()),
                 }

@@ -90,10 +90,10 @@ impl CountedBlock {
                 &mut block.second_missing_answers,
             ];
             for (merged, ending) in missing.into_iter().zip(&endings) {
-                let because = ending.failure_reason.clone();
+                let reason = ending.failure_reason.clone();
                 FailedControllerRuns::merge(
                     merged,
-                    because.map(|because| FailedControllerRuns { runs: 1, because }),
+                    reason.map(|reason| FailedControllerRuns { runs: 1, reason }),
                 );
             }
             match endings.as_slice() {

@@ -205,7 +205,7 @@ impl TestVerdict {
         };
         Some(FailedControllerRuns {
             runs: 1,
-            because: format!("at {time_s:.2} s, {reason}"),
+            reason: format!("at {time_s:.2} s, {reason}"),
         })
     }
 

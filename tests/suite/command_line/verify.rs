@@ -318,9 +318,11 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     let written = fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
     assert_eq!(written.parse::<Value>().unwrap(), report);
     let levels = report["levels"].as_array().unwrap();
-    assert!(levels.iter().all(
-        |level| level["robustness"].is_f64() && level["robustness"] == level["smallest_gap_m"]
-    ));
+    assert!(
+        levels
+            .iter()
+            .all(|level| level["margin"].is_f64() && level["margin"] == level["smallest_gap_m"])
+    );
     assert_refused(
         &estimate(""),
         "rare already holds a rare-failure estimate: use --resume",
@@ -345,7 +347,7 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
     let written = fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
     assert!(
-        written.contains("\"robustness\"") && !written.contains("smallest_gap_m"),
+        written.contains("\"margin\"") && !written.contains("smallest_gap_m"),
         "{written}"
     );
     let fsck = || run_crumple(folder.path(), "fsck rare");

@@ -154,13 +154,13 @@ fn a_search_reports_the_reason_of_a_missing_answer() {
         "{text}{error}"
     );
     let summary = read_json(&folder.path().join("out/summary.json"));
-    let because = |of: &Value| of["reason"].as_str().unwrap_or_default().to_owned();
+    let reason = |of: &Value| of["reason"].as_str().unwrap_or_default().to_owned();
     assert!(
-        because(&summary["counterexamples"][0]).contains(why),
+        reason(&summary["counterexamples"][0]).contains(why),
         "{summary}"
     );
     assert!(
-        because(&summary["failures"][0]).contains("`near` ended by itself with exit code 9"),
+        reason(&summary["failures"][0]).contains("`near` ended by itself with exit code 9"),
         "{summary}"
     );
     assert_eq!(summary["failures"][0]["failed_vehicle"], 1);

@@ -19,7 +19,7 @@ pub enum CountsStatus {
     /// A repeated run had another result.
     Refuted {
         /// Description of the first difference.
-        because: String,
+        reason: String,
     },
 }
 
@@ -36,7 +36,7 @@ impl CountsStatus {
     pub(super) fn summary(&self) -> String {
         match self {
             Self::Unconfirmed => UNVERIFIED_COUNTS_CAVEAT.to_owned(),
-            Self::Refuted { because } => format!("refuted by a new count: {because}"),
+            Self::Refuted { reason } => format!("refuted by a new count: {reason}"),
             Self::Confirmed { confirmation, .. } if confirmation.is_complete() => format!(
                 "confirmed: all {} runs were drawn and simulated again, and each has the stated result",
                 confirmation.total_runs

@@ -97,7 +97,7 @@ impl<'a> ReportLine<'a> {
         let certificate = report.certificate;
         let scope = report.scope();
         let refuted = match &report.counts {
-            Some(CountsStatus::Refuted { because }) => Some(because.clone()),
+            Some(CountsStatus::Refuted { reason }) => Some(reason.clone()),
             _ => None,
         };
         let coverage = report.covers_scenario.as_ref();

@@ -97,7 +97,8 @@ pub struct Level {
 /// Serialised level; in old files all margins are called gaps.
 #[derive(Deserialize)]
 struct WrittenLevel {
-    robustness: Option<f64>,
+    #[serde(alias = "robustness")]
+    margin: Option<f64>,
     smallest_gap_m: Option<f64>,
     probability: f64,
     share: f64,
@@ -110,16 +111,14 @@ impl TryFrom<WrittenLevel> for Level {
 
     fn try_from(written: WrittenLevel) -> Result<Self, &'static str> {
         let WrittenLevel {
-            robustness,
+            margin,
             smallest_gap_m,
             probability,
             share,
             step,
             acceptance,
         } = written;
-        let margin = robustness
-            .or(smallest_gap_m)
-            .ok_or("a level has no `robustness`")?;
+        let margin = margin.or(smallest_gap_m).ok_or("a level has no `margin`")?;
         Ok(Self {
             margin,
             smallest_gap_m,

@@ -473,16 +473,12 @@ fn levels_are_read_with_either_name_of_their_margin() {
     };
     let read = |named: &str| serde_json::from_str::<Level>(&level(named));
     assert_eq!(read("\"smallest_gap_m\":1.5,").unwrap().margin, 1.5);
-    let rule = read("\"robustness\":1.5,").unwrap();
+    let rule = read("\"margin\":1.5,").unwrap();
+    assert_eq!(read("\"robustness\":1.5,").unwrap(), rule);
     assert_eq!((rule.margin, rule.smallest_gap_m), (1.5, None));
     assert_eq!(
         serde_json::to_string(&rule).unwrap(),
-        level("\"robustness\":1.5,")
+        level("\"margin\":1.5,")
     );
-    assert!(
-        read("")
-            .unwrap_err()
-            .to_string()
-            .contains("no `robustness`")
-    );
+    assert!(read("").unwrap_err().to_string().contains("no `margin`"));
 }

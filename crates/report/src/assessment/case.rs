@@ -175,7 +175,7 @@ impl CaseVerdict {
         match self {
             Self::ControllerFailed { time_s, reason, .. } => Some(FailedControllerRuns {
                 runs: 1,
-                because: format!("at {time_s} s, {reason}"),
+                reason: format!("at {time_s} s, {reason}"),
             }),
             Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::OthersCollided(_) => None,
         }

@@ -60,7 +60,8 @@ pub struct FailedControllerRuns {
     /// Number of runs.
     pub runs: u64,
     /// Time and reason of the first of them.
-    pub because: String,
+    #[serde(alias = "because")]
+    pub reason: String,
 }
 
 impl FailedControllerRuns {
@@ -70,7 +71,7 @@ impl FailedControllerRuns {
             total,
             Some(Self {
                 runs: 1,
-                because: failed.reason(),
+                reason: failed.reason(),
             }),
         );
     }
@@ -89,7 +90,7 @@ impl FailedControllerRuns {
     pub fn describe(&self, all_runs: u64) -> String {
         format!(
             "gave no answer in {} of {all_runs}: {}",
-            self.runs, self.because
+            self.runs, self.reason
         )
     }
 }

@@ -172,7 +172,7 @@ impl Strength {
             None => Self::from_counts(failures, runs),
             Some(FailedControllerRuns {
                 runs: unanswered,
-                because: reason,
+                reason,
             }) => Self::Unanswered {
                 unanswered: *unanswered,
                 failures,

@@ -175,7 +175,7 @@ impl DistinctFailure {
         let file = format!("{folder}/{name}");
         let text = texts.counterexample;
         // The command expects a collision, and a controller without an answer causes none.
-        let replay = match counterexample.because {
+        let replay = match counterexample.reason {
             None => replay(&file),
             Some(_) => None,
         };
@@ -187,7 +187,7 @@ impl DistinctFailure {
             replay,
             file,
             kind: counterexample.kind.clone(),
-            reason: counterexample.because.clone(),
+            reason: counterexample.reason.clone(),
             contact_time_s: counterexample.contact_time_s.map(Rounded::new),
             impact_speed_mps: counterexample.impact_speed_mps.map(Rounded::new),
             max_delta_v_mps: counterexample.max_delta_v_mps.map(Rounded::new),

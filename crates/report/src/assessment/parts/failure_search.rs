@@ -218,8 +218,8 @@ impl FailureSearch {
         let reason = self
             .unanswered_failures()
             .find_map(|failure| failure.reason.clone());
-        let because = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
-        (runs > 0).then_some(FailedControllerRuns { runs, because })
+        let reason = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
+        (runs > 0).then_some(FailedControllerRuns { runs, reason })
     }
 
     pub(in crate::assessment) fn describe_unanswered(&self) -> Option<String> {

@@ -368,7 +368,7 @@ impl FailureSearch {
             failures => Strength::Falsified {
                 failures,
                 avoidable: self.count(AvoidabilityClass::Avoidable),
-                reason: unanswered.map(|unanswered| unanswered.because),
+                reason: unanswered.map(|unanswered| unanswered.reason),
             },
         }
     }

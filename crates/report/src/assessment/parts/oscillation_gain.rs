@@ -76,10 +76,10 @@ impl OscillationGain {
     pub(super) fn new(survey: &GainSurvey) -> Self {
         let mut unanswered = None;
         for point in &survey.points {
-            if let Err(NoGain::Unanswered(because)) = &point.gain {
+            if let Err(NoGain::Unanswered(reason)) = &point.gain {
                 let failed = FailedControllerRuns {
                     runs: 1,
-                    because: because.clone(),
+                    reason: reason.clone(),
                 };
                 FailedControllerRuns::merge(&mut unanswered, Some(failed));
             }

@@ -118,7 +118,7 @@ impl ControllerSample {
             (Strength::Untried, Some(unanswered)) => Strength::OtherUnanswered {
                 unanswered: unanswered.runs,
                 runs: random_scenarios,
-                reason: unanswered.because.clone(),
+                reason: unanswered.reason.clone(),
             },
             (strength, _) => strength,
         }

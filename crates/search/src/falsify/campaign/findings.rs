@@ -22,7 +22,7 @@ pub(super) struct UnansweredPartnerRuns {
     /// Number of the first one, its values, and the reason.
     pub(super) first: u64,
     pub(super) values: Vec<f64>,
-    pub(super) because: String,
+    pub(super) reason: String,
 }
 
 #[derive(Debug, Clone)]
@@ -57,7 +57,7 @@ impl MethodResults {
                     runs: 0,
                     first: evaluated.number,
                     values: evaluated.values.clone(),
-                    because: String::new(),
+                    reason: String::new(),
                 });
             unanswered.runs += 1;
         }

@@ -313,7 +313,7 @@ impl Campaign {
             if let Some(unanswered) = &mut results.other_unanswered {
                 let scenario = state.config.space.scenario(&unanswered.values)?;
                 let reason = self.evaluator().partner_failure_reason(&scenario);
-                unanswered.because = reason
+                unanswered.reason = reason
                     .unwrap_or_else(|| "it gives an answer when the run is repeated".to_owned());
             }
         }

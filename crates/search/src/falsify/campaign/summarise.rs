@@ -62,7 +62,7 @@ impl MethodSummary {
             other_unanswered: results.other_unanswered.as_ref().map(|unanswered| {
                 FailedControllerRuns {
                     runs: unanswered.runs,
-                    because: unanswered.because.clone(),
+                    reason: unanswered.reason.clone(),
                 }
             }),
         }
@@ -83,10 +83,10 @@ impl FailureKindSummary {
             };
         let description = kind.kind.describe(&config.nominal);
         Self {
-            because: examined
+            reason: examined
                 .iter()
                 .find(|failure| failure.kind == description)
-                .and_then(|failure| failure.because.clone()),
+                .and_then(|failure| failure.reason.clone()),
             kind: description,
             failed_vehicle: match kind.kind {
                 super::FailureKind::ControllerFailed { vehicle } => Some(vehicle),

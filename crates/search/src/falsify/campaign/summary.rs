@@ -167,7 +167,8 @@ pub struct FailureKindSummary {
     pub kind: String,
     /// Time and reason of the controller's failure in the severest examined case; only for a controller failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub because: Option<String>,
+    #[serde(alias = "because")]
+    pub reason: Option<String>,
     /// Index of the vehicle whose controller gave no answer; `None` for other kinds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failed_vehicle: Option<u32>,
@@ -356,7 +357,7 @@ impl CampaignSummary {
         let unanswered = self
             .counterexamples
             .iter()
-            .filter(|counterexample| counterexample.because.is_some());
+            .filter(|counterexample| counterexample.reason.is_some());
         match unanswered.count() {
             0 => String::new(),
             count => format!("; {count} not analysed, because the controller gave no answer"),
@@ -431,8 +432,8 @@ impl CampaignSummary {
                 kind.kind,
                 firsts.join(", ")
             )?;
-            if let Some(because) = &kind.because {
-                writeln!(out, "               {because}")?;
+            if let Some(reason) = &kind.reason {
+                writeln!(out, "               {reason}")?;
             }
         }
         Ok(())

@@ -151,7 +151,7 @@ impl<'a> Examiner<'a> {
             max_delta_v_mps: deltas_mps.reduce(f64::max),
             harm: harm(&aftermath.impacts, scenario.vehicles().len()),
             vehicles_involved: aftermath.vehicles_involved(),
-            because: failed
+            reason: failed
                 .filter(|_| verdict.failure.is_some())
                 .map(FailedController::reason),
             scenario,

@@ -49,8 +49,8 @@ pub struct Counterexample {
     /// Description of the failure.
     pub kind: String,
     /// Time and reason of the controller's failure, with the last lines of its standard error.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub because: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "because")]
+    pub reason: Option<String>,
     /// Robustness of the file.
     #[serde(with = "crumple_core::non_finite")]
     pub robustness: f64,
@@ -188,8 +188,8 @@ impl Counterexample {
 
     /// Describes the first collision, the violation of a formula, or why the controller failed.
     fn describe_severity(&self, of_formula: bool) -> String {
-        if let Some(because) = &self.because {
-            return because.clone();
+        if let Some(reason) = &self.reason {
+            return reason.clone();
         }
         match self.impact_speed_mps.zip(self.contact_time_s) {
             Some((speed_mps, time_s)) if of_formula => format!(

@@ -31,7 +31,7 @@ pub(in crate::falsify) struct ExaminedFailure {
     pub(super) max_delta_v_mps: Option<f64>,
     pub(super) harm: f64,
     pub(super) vehicles_involved: usize,
-    pub(super) because: Option<String>,
+    pub(super) reason: Option<String>,
     pub(super) analysis: AvoidabilityAnalysis,
     /// True if the scenario also fails with the multi-body plant.
     pub(super) survives: Option<bool>,
@@ -153,7 +153,7 @@ impl Recorder<'_> {
             file: in_folder(&text.file),
             original_file: in_folder(&text.original_file),
             kind: text.kind,
-            because: failure.because.clone(),
+            reason: failure.reason.clone(),
             robustness: failure.verdict.robustness,
             contact_time_s: contact.map(|contact| contact.time_s),
             front_vehicle: contact.map(|contact| contact.front_vehicle),
@@ -329,7 +329,7 @@ fn describe_finding(config: &ResolvedConfig, failure: &ExaminedFailure, kind: &s
             format!(", and `{controller}` passes it")
         }
     };
-    let reason = failure.because.as_ref();
+    let reason = failure.reason.as_ref();
     let reason = reason.map_or(String::new(), |reason| format!(" {reason}"));
     format!(
         "Found in the space `{}` by {} at its evaluation {} (seed {}): with {controller} {kind}{reason}{criterion}.\
