@@ -450,7 +450,7 @@ fn a_search_with_more_failures_is_worse_in_every_row() {
             (status["failures"], status["avoidable"]) = (count.into(), count.into());
         } else if words == "no collision anywhere in `high-risk`" {
             // Failures of a search refuted it, and now random scenarios do, or the reverse.
-            *status = match status["strength"] == "found" {
+            *status = match status["strength"] == "falsified" {
                 true => serde_json::json!({ "strength": "refuted", "failures": 150, "runs": 200 }),
                 false => {
                     serde_json::json!({ "strength": "falsified", "failures": 150, "avoidable": 150 })

@@ -12,6 +12,7 @@ use super::{RareError, RareEstimate, RarePlan, RareReport, Repetition, Splitting
 use crate::exposure::RatePerExposure;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
+use crumple_core::old_names;
 use crumple_spaces::file;
 use crumple_store::run_folder::{FolderTransaction, RunFolder, RunFolderError};
 use crumple_store::study::{Study, StudyStep};
@@ -97,8 +98,9 @@ impl Study for RarePlan {
     type Report = RareReport;
     type Error = RareError;
 
+    /// Has the names of version 1: an estimate of 0.3.0 is recognised by the hash of this text.
     fn configuration(&self) -> Result<String, RareError> {
-        let configuration = json!({
+        let mut configuration = json!({
             "controller": self.controller.name,
             "controller_sha256": self.controller.source.identity(),
             "estimator": self.estimator,
@@ -107,6 +109,7 @@ impl Study for RarePlan {
             "seed": self.seed,
             "effort": self.effort,
         });
+        old_names::rename_to_version_1(&mut configuration, old_names::STUDY);
         Ok(configuration.to_string())
     }
 
