@@ -99,10 +99,8 @@ pub fn fit(
             }
         }
     }
-    let copula = match &space.spec().dependence {
-        Some(Dependence::GaussianCopula(copula)) => Some(copula),
-        None => None,
-    };
+    let dependence = space.spec().dependence.as_ref();
+    let copula = dependence.map(|Dependence::GaussianCopula(copula)| copula);
     Ok(FittedSpace {
         features,
         sizes,
