@@ -146,9 +146,9 @@ def test_an_assessment_equals_that_of_the_command_line(tmp_path, crumple_binary)
         [crumple_binary, "assess", path, "--out", folder, "--quiet"], capture_output=True, check=False
     )
     written = json.loads((folder / "assessment.json").read_text())
-    assert written["provenance"].pop("made") is not None
+    assert written["provenance"].pop("run_info") is not None
     evidence = assessment.evidence
-    assert evidence["provenance"].pop("made") is None
+    assert evidence["provenance"].pop("run_info") is None
     # Without a cache folder there are no hashes of cached evidence.
     assert evidence == written
     assert crumple.assess(path.read_text()).evidence["summary"] == written["summary"]
