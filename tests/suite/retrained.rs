@@ -64,7 +64,7 @@ fn the_committed_files_are_those_of_the_report() {
             file.file
         );
     }
-    let preset = serde_json::to_value(training_preset().unwrap()).unwrap();
+    let preset = training_preset().unwrap().to_header_value().unwrap();
     let header = Policy::retrained().header().training.clone();
     for (field, value) in preset
         .as_object()

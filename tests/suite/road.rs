@@ -21,7 +21,7 @@ fn the_preset_is_that_of_the_policy() {
         .unwrap()
         .remove("scenarios")
         .unwrap();
-    assert_eq!(training, serde_json::to_value(&preset).unwrap());
+    assert_eq!(training, preset.to_header_value().unwrap());
     assert_eq!(
         Some(spaces.as_str().unwrap().to_owned()),
         preset.scenario_source().unwrap().identity().unwrap()
