@@ -14,10 +14,10 @@ use crate::disk::{self, DiskError};
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum PendingChange {
     /// The file `unfinished`, beside the manifest, will replace `name`.
-    #[serde(alias = "place")]
+    #[serde(rename = "place")]
     Move { unfinished: String, name: String },
     /// The file will be removed; `old_state` was its state.
-    #[serde(alias = "was")]
+    #[serde(rename = "was")]
     Remove { name: String, old_state: FileState },
 }
 

@@ -15,7 +15,7 @@ use crumple_core::regular_file;
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum FileState {
     /// Begins with this prefix. The records after it have their own checksums.
-    #[serde(alias = "growing")]
+    #[serde(rename = "growing")]
     AppendOnly(Prefix),
     /// Has these contents.
     Whole { bytes: u64, sha256: String },
