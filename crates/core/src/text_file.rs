@@ -1,7 +1,6 @@
 //! Text files of users, in TOML or JSON: limited reading, and errors that name file, line and field.
 
 mod named_fields;
-mod old_names;
 mod position;
 
 use std::fmt;
@@ -13,9 +12,9 @@ use serde::de::DeserializeOwned;
 use crate::format_version::check_version;
 use crate::regular_file;
 use named_fields::NamedFields;
-use position::{line_at, locate_in_toml};
+pub(crate) use position::line_at;
+use position::locate_in_toml;
 
-pub use old_names::OldNames;
 pub use position::{line_in_json, line_in_toml, raw_toml_value};
 
 /// An error of a text file that a user names.

@@ -4,15 +4,9 @@ use std::path::Path;
 
 use super::{InvalidSpace, ScenarioSpace, SpaceProblem, SpaceSpec};
 use crumple_core::old_names;
-use crumple_core::text_file::{FileError, OldNames, line_in_toml, parse_toml, read};
+use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{InvalidField, OpenDriver};
-
-/// Names of space files before 0.4.
-const OLD_NAMES: OldNames = OldNames {
-    fields: old_names::SPACE,
-    values: &[],
-};
 
 /// Reads and checks a space file.
 ///
@@ -20,8 +14,9 @@ const OLD_NAMES: OldNames = OldNames {
 /// [`ScenarioFileError`] for a file that cannot be read, parsed or accepted.
 pub fn load(path: &Path, opener: &dyn OpenDriver) -> Result<ScenarioSpace, ScenarioFileError> {
     let text = read(path)?;
-    OLD_NAMES.warn(&text, path);
-    from_toml(&text, path, opener)
+    let space = from_toml(&text, path, opener)?;
+    old_names::SPACE.warn(&text, path);
+    Ok(space)
 }
 
 /// Reads a space from TOML text. `path` names it in errors; a base scenario in a file is relative to its folder.
@@ -62,7 +57,7 @@ pub fn to_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
 /// Those of [`to_toml`].
 pub fn to_identity_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
     let text = to_toml(space)?;
-    Ok(old_names::with_version_1_names(&text, old_names::SPACE))
+    Ok(old_names::SPACE.restore_in_text(&text))
 }
 
 /// Returns the JSON that identifies a space in hashes, with the names of version 1.
@@ -71,5 +66,5 @@ pub fn to_identity_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Erro
 /// None for a valid space; passes on the error of the serializer.
 pub fn to_identity_json(space: &ScenarioSpace) -> Result<String, serde_json::Error> {
     let text = serde_json::to_string(space.spec())?;
-    Ok(old_names::with_version_1_names(&text, old_names::SPACE))
+    Ok(old_names::SPACE.restore_in_text(&text))
 }

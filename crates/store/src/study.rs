@@ -275,17 +275,17 @@ fn differs_in_version_only(file: &str, existing: &str, asked: &str) -> bool {
         (Some(mut existing), Some(mut asked)) => {
             existing.remove(VERSION_FIELD);
             asked.remove(VERSION_FIELD);
-            with_version_1_names(existing) == with_version_1_names(asked)
+            with_old_names(existing) == with_old_names(asked)
         }
         _ => false,
     }
 }
 
-/// Returns the fields with the names of version 1. Applied to both sides of a comparison, no name is ambiguous.
-fn with_version_1_names(fields: serde_json::Map<String, Value>) -> Value {
+/// Returns the fields with the old names. Applied to both sides of a comparison, no name is ambiguous.
+fn with_old_names(fields: serde_json::Map<String, Value>) -> Value {
     let mut value = Value::Object(fields);
-    for renames in [old_names::TRAINING, old_names::SPACE, old_names::STUDY] {
-        old_names::rename_to_version_1(&mut value, renames);
+    for names in [old_names::TRAINING, old_names::SPACE, old_names::STUDY] {
+        names.restore_in_value(&mut value);
     }
     value
 }

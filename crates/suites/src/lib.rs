@@ -65,9 +65,9 @@ impl TestSuite {
     /// # Errors
     /// [`SuiteError`] names file, line and field.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, SuiteError> {
-        use crumple_core::text_file;
-        spec::OLD_NAMES.warn(text, path);
+        use crumple_core::{old_names, text_file};
         let spec = text_file::parse_toml(text, path)?;
+        old_names::SUITE.warn(text, path);
         Self::new(spec).map_err(|InvalidSuite { field, problem }| {
             let line = text_file::line_in_toml(text, &field);
             SuiteError::Invalid {

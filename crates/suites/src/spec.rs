@@ -2,17 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crumple_core::old_names;
-use crumple_core::text_file::OldNames;
-
 use super::parameter::{ImpactLimit, Origin, ParameterKind, TestParameter, TestParameters};
 use super::run::Criterion;
-
-/// Names of suite files before 0.4.
-pub(crate) const OLD_NAMES: OldNames = OldNames {
-    fields: old_names::SUITE,
-    values: &[],
-};
 
 /// A suite as its file states it, before validation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -61,7 +61,7 @@ struct PartRanges {
     closing: Interval,
 }
 
-/// Change of a state along one axis until it leaves the table, and the first and last cell that it touches.
+/// Change of a state along one axis until it leaves the table, and the first and last cell that it reaches.
 struct AxisMotion {
     change: Interval,
     cells: [usize; 2],

@@ -22,7 +22,7 @@ pub fn raw_toml_value<'t>(text: &'t str, field: &str) -> Option<&'t str> {
 }
 
 /// Returns the line, from 1, of a byte offset.
-pub(super) fn line_at(text: impl AsRef<[u8]>, offset: usize) -> usize {
+pub(crate) fn line_at(text: impl AsRef<[u8]>, offset: usize) -> usize {
     1 + text
         .as_ref()
         .iter()

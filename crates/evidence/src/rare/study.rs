@@ -109,7 +109,7 @@ impl Study for RarePlan {
             "seed": self.seed,
             "effort": self.effort,
         });
-        old_names::rename_to_version_1(&mut configuration, old_names::STUDY);
+        old_names::STUDY.restore_in_value(&mut configuration);
         Ok(configuration.to_string())
     }
 

@@ -15,7 +15,7 @@ use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_controllers::Controllers;
 use crumple_core::old_names;
-use crumple_core::text_file::{self, OldNames, is_default};
+use crumple_core::text_file::{self, is_default};
 use crumple_sim::observation::EstimatorKind;
 
 /// Version of the preset format that this release reads.
@@ -307,12 +307,6 @@ pub const PRESETS: [(&str, &str); 4] = [
     ("road", include_str!("presets/road.toml")),
 ];
 
-/// Names of training configurations before 0.4.
-const OLD_NAMES: OldNames = OldNames {
-    fields: old_names::TRAINING,
-    values: &[("end", "termination")],
-};
-
 impl TrainingConfig {
     /// Returns a built-in preset.
     ///
@@ -338,9 +332,9 @@ impl TrainingConfig {
     /// # Errors
     /// [`TrainingConfigError::Located`], with line and field, if it does not parse or a field is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, TrainingConfigError> {
-        OLD_NAMES.warn(text, path);
         let config: Self = text_file::parse_toml(text, path)
             .map_err(|error| TrainingConfigError::Located(error.to_string()))?;
+        old_names::TRAINING.warn(text, path);
         config
             .check()
             .map_err(|error| error.with_location(text, path))?;
@@ -354,7 +348,7 @@ impl TrainingConfig {
     /// [`serde_json::Error`] in principle, if a number is not finite.
     pub fn to_header_value(&self) -> Result<serde_json::Value, serde_json::Error> {
         let mut value = serde_json::to_value(self)?;
-        old_names::rename_to_version_1(&mut value, old_names::TRAINING);
+        old_names::TRAINING.restore_in_value(&mut value);
         Ok(value)
     }
 

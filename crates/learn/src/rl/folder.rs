@@ -109,7 +109,7 @@ impl Study for SeedTraining<'_> {
             episodes: 0,
             ..self.config.clone()
         })?;
-        let config = old_names::with_version_1_names(&config, old_names::TRAINING);
+        let config = old_names::TRAINING.restore_in_text(&config);
         Ok(format!("seed = {}\n{config}", self.seed))
     }
 

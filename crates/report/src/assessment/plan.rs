@@ -16,8 +16,7 @@ use super::planned_suite::PlannedSuite;
 use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;
 use crumple_core::format_version::check_version;
-use crumple_core::text_file::OldNames;
-use crumple_core::{regular_file, text_file};
+use crumple_core::{old_names, regular_file, text_file};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_sim::control::{BuiltInController, ControllerSource};
 use crumple_sim::engine::NamedController;
@@ -96,18 +95,6 @@ const SHIPPED_CERTIFICATES: [(&str, &str); 2] = [
     ("reach-paper-2", include_str!("built_in/reach-paper-2.json")),
 ];
 
-/// Names of configurations of assessments before 0.4.
-const OLD_NAMES: OldNames = OldNames {
-    fields: &[],
-    values: &[
-        (
-            "no-contact-in-paper-scenarios",
-            "no-collision-in-paper-scenarios",
-        ),
-        ("needless-braking-at-most", "unnecessary-braking-at-most"),
-    ],
-};
-
 impl AssessmentPlan {
     /// Returns the plan of the built-in assessment.
     ///
@@ -154,8 +141,8 @@ impl AssessmentPlan {
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
     pub fn load(path: &Path, controllers: Controllers) -> Result<Self, AssessConfigError> {
         let text = text_file::read(path)?;
-        OLD_NAMES.warn(&text, path);
         let mut config: AssessConfig = text_file::parse_toml(&text, path)?;
+        old_names::ASSESSMENT.warn(&text, path);
         config.controllers_of_files = controllers;
         let loading = PlanLoader {
             path,
