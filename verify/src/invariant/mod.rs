@@ -216,7 +216,7 @@ impl InvariantClaim {
         {
             return Err(Rejection::invalid(
                 "step_s",
-                "and `action_repeat` must be positive",
+                "and `decision_steps` must be positive",
             ));
         }
         if !self
@@ -260,7 +260,7 @@ impl InvariantClaim {
                 let steps = loaded.decision_interval_s / self.step_s;
                 if (steps - f64::from(self.decision_steps)).abs() > 1e-9 * steps {
                     return Err(Rejection::invalid(
-                        "action_repeat",
+                        "decision_steps",
                         "is not the decision interval of the network",
                     ));
                 }

@@ -68,7 +68,7 @@ pub struct ReachProblem<'a> {
     pub observation_error: [f64; OBSERVATION_SIZE],
     /// h, in seconds.
     pub step_s: f64,
-    /// N, a multiple of `action_repeat`.
+    /// N, a multiple of `decision_steps`.
     pub steps: u32,
     /// D, the number of steps between decisions.
     pub decision_steps: u32,

@@ -697,7 +697,7 @@ fn the_scope_states_the_error_of_each_observed_quantity() {
 
     let claim_about = |controller: Value| {
         let claim = json!({
-            "motion": "absolute", "controller": controller, "step_s": 0.01, "action_repeat": 1, "own_mps2": [-7.5, 3],
+            "motion": "absolute", "controller": controller, "step_s": 0.01, "decision_steps": 1, "own_mps2": [-7.5, 3],
             "leader_mps2": [-7.5, 3], "observation_error": [0, 0.5, 0.25], "region_gap_m": 100,
             "region_own_mps": [0, 6], "region_leader_mps": [0, 6], "initial_own_mps_at_most": 6,
             "axes": [{"low": 0, "high": 6, "cells": 4}, {"low": 0, "high": 6, "cells": 4}], "splits": 1,
