@@ -160,7 +160,7 @@ impl SearchExpectation {
                 match summary
                     .methods
                     .iter()
-                    .find_map(|method| method.other_unanswered.as_ref())
+                    .find_map(|method| method.second_missing_answers.as_ref())
                 {
                     Some(unanswered) => Err(CliError::Gate(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \

@@ -16,8 +16,8 @@
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
 //! | [`markdown`] | a writer of Markdown, with all text escaped |
 //! | [`regular_file`] | opening of files that users name: regular files only |
-//! | [`text_file`] | text files in TOML or JSON, with errors that name line and field |
 //! | [`old_names`] | names that files had in earlier releases |
+//! | [`text_file`] | text files in TOML or JSON, with errors that name line and field |
 
 pub mod binomial;
 pub mod digest;

@@ -10,8 +10,6 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::text_file::line_at;
-
 /// An old name and the present one.
 type Rename = (&'static str, &'static str);
 
@@ -96,6 +94,28 @@ pub const STUDY: OldNames = OldNames {
     values: &[],
 };
 
+/// Formats of files that users write.
+const FORMATS: [OldNames; 4] = [TRAINING, SPACE, SUITE, ASSESSMENT];
+
+/// Returns the old names of a field, in any format.
+pub(crate) fn old_names_of(field: &str) -> impl Iterator<Item = &'static str> {
+    let renames = FORMATS.into_iter().flat_map(|format| format.fields);
+    renames
+        .filter(move |(_, new)| *new == field)
+        .map(|(old, _)| *old)
+}
+
+/// Returns the present name of a field or a value that has this old one, in each format.
+pub(crate) fn present_names(old: &str) -> impl Iterator<Item = &'static str> {
+    let renames = FORMATS.into_iter().flat_map(|format| {
+        let values = format.values.iter().map(|(_, rename)| rename);
+        format.fields.iter().chain(values)
+    });
+    renames
+        .filter(move |(name, _)| *name == old)
+        .map(|(_, new)| *new)
+}
+
 impl OldNames {
     /// Logs a warning for each old name in the TOML text of a file, at its first line. `path` only names the file. Call
     /// it for a text that was read without an error, and so has the limits of a text file.
@@ -125,7 +145,8 @@ impl OldNames {
         let mut first: Vec<(usize, &str, &str)> = Vec::new();
         for (offset, old, new) in uses {
             if first.iter().all(|(_, name, _)| *name != old) {
-                first.push((line_at(text, offset), old, new));
+                let before = text.get(..offset).unwrap_or_default();
+                first.push((1 + before.matches('\n').count(), old, new));
             }
         }
         first

@@ -10,10 +10,10 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 
 use crate::format_version::check_version;
+use crate::old_names::{old_names_of, present_names};
 use crate::regular_file;
 use named_fields::NamedFields;
-pub(crate) use position::line_at;
-use position::locate_in_toml;
+use position::{line_at, locate_in_toml};
 
 pub use position::{line_in_json, line_in_toml, raw_toml_value};
 
@@ -156,11 +156,16 @@ fn json_error(path: &Path, field: &str, error: &serde_json::Error) -> FileError 
 }
 
 fn toml_error(path: &Path, text: &str, field: &str, error: &toml::de::Error) -> FileError {
+    let path_of_field = match field_with_old_name(error.message()) {
+        Some(name) if field.is_empty() => name.to_owned(),
+        Some(name) => format!("{field}.{name}"),
+        None => field.to_owned(),
+    };
     // For an entry of an array of tagged tables, the span is that of the whole array.
     let start = error
         .span()
         .map_or(0, |span| span.start)
-        .max(locate_in_toml(text, field).start);
+        .max(locate_in_toml(text, &path_of_field).start);
     FileError::Syntax {
         path: path.to_owned(),
         line: line_at(text, start),
@@ -184,15 +189,42 @@ fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
         "invalid type: unit variant, expected newtype variant" => {
             "a name alone is not enough: its settings belong in a table".into()
         }
-        other => match single_item(other) {
-            Some(item) => format!("must be a list in square brackets, as in `[{item}]`").into(),
+        other => rewrite_names(other).unwrap_or_else(|| {
             // Serde appends this for an item without settings.
-            None => other
-                .strip_suffix(", there are no fields")
-                .unwrap_or(other)
-                .into(),
-        },
+            let message = other.strip_suffix(", there are no fields");
+            message.unwrap_or(other).into()
+        }),
     }
+}
+
+/// Rewrites a message of serde about an item in place of a list, about a field that is given by two names, or with a
+/// list of names, which then has no old ones.
+fn rewrite_names(message: &str) -> Option<std::borrow::Cow<'_, str>> {
+    if let Some(item) = single_item(message) {
+        return Some(format!("must be a list in square brackets, as in `[{item}]`").into());
+    }
+    if let Some(field) = field_with_old_name(message) {
+        let old: Vec<_> = old_names_of(field).map(|old| format!("`{old}`")).collect();
+        let old = old.join(" or ");
+        return Some(format!("`{field}` is given twice, once by its old name {old}").into());
+    }
+    let (start, list) = message.split_once("expected one of ")?;
+    let names: Vec<_> = list.split(", ").collect();
+    let is_present = |name: &&&str| {
+        let mut new = present_names(name.trim_matches('`'));
+        !new.any(|new| names.iter().any(|name| name.trim_matches('`') == new))
+    };
+    let present: Vec<_> = names.iter().filter(is_present).copied().collect();
+    Some(format!("{start}expected one of {}", present.join(", ")).into())
+}
+
+/// Returns the field that is given by two names, if that is the message. The parser of TOML itself refuses one name
+/// that is given twice.
+fn field_with_old_name(message: &str) -> Option<&str> {
+    let field = message
+        .strip_prefix("duplicate field `")?
+        .strip_suffix('`')?;
+    old_names_of(field).next().map(|_| field)
 }
 
 /// Returns the text or number that a message of serde names where a list is required.
@@ -225,4 +257,41 @@ fn prefix_field(field: &str, message: &str) -> String {
 /// Returns true if a field has its default. Writers leave such a field out (`skip_serializing_if`).
 pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use serde::Deserialize;
+
+    use super::{line_in_toml, parse_toml};
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[expect(dead_code, reason = "only errors are read")]
+    struct Renamed {
+        #[serde(alias = "says")]
+        summary: String,
+        #[serde(default)]
+        clauses: Vec<Renamed>,
+    }
+
+    #[test]
+    fn errors_of_fields_with_old_names_have_the_right_line() {
+        let error = |text: &str| {
+            let parsed = parse_toml::<Renamed>(text, Path::new("a.toml"));
+            parsed.unwrap_err().to_string()
+        };
+        assert_eq!(
+            error("summary = \"a\"\n[[clauses]]\nsays = \"b\"\nsummary = \"c\"\n"),
+            "a.toml:4: clauses[0]: `summary` is given twice, once by its old name `says`"
+        );
+        assert_eq!(
+            error("summary = \"a\"\nsentence = \"b\"\n"),
+            "a.toml:2: sentence: unknown field `sentence`, expected one of `summary`, `clauses`"
+        );
+        let text = "summary = \"a\"\n\n[[clauses]]\n\nsays = \"b\"\n";
+        assert_eq!(line_in_toml(text, "clauses[0].summary"), 5);
+    }
 }

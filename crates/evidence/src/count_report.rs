@@ -26,7 +26,7 @@ pub struct CountReport {
     /// Runs in which only the second failed.
     pub only_second_failed: u64,
     /// Runs without an answer, of the first controller and of the second.
-    pub unanswered: [Option<FailedControllerRuns>; 2],
+    pub missing_answers: [Option<FailedControllerRuns>; 2],
     /// Path of the certificate.
     pub certificate: Option<PathBuf>,
     /// Bound that the checker accepted, for one controller.
@@ -35,7 +35,7 @@ pub struct CountReport {
     pub confidence: Option<f64>,
     /// Rates per hour and per 1000 km.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub exposed: Option<RatePerExposure>,
+    pub exposure: Option<RatePerExposure>,
     /// Description of the counts.
     #[serde(skip)]
     summary: String,
@@ -67,11 +67,11 @@ impl CountReport {
             failures: tally.failures,
             only_first_failed: tally.only_first_failed,
             only_second_failed: tally.only_second_failed,
-            unanswered: tally.missing_answers(),
+            missing_answers: tally.missing_answers(),
             certificate: accepted.map(|_| certificate),
             rate_at_most,
             confidence: Some(plan.registration().confidence),
-            exposed: None,
+            exposure: None,
             summary: tally.summary(plan.record().is_comparison()),
             accepted: conclusion.map(|claim| claim.to_string()),
         }
@@ -79,8 +79,8 @@ impl CountReport {
 
     /// Adds rates per hour and per 1000 km.
     #[must_use]
-    pub fn with_exposure(self, exposed: Option<RatePerExposure>) -> Self {
-        Self { exposed, ..self }
+    pub fn with_exposure(self, exposure: Option<RatePerExposure>) -> Self {
+        Self { exposure, ..self }
     }
 
     /// Returns the conclusion of the checker; `None` if it accepted no certificate.
@@ -107,7 +107,7 @@ impl CountReport {
             let path = path.display().to_string();
             text += &format!("{}: accepted: {accepted}\n", TerminalText(&path));
         }
-        if let Some(rate) = &self.exposed {
+        if let Some(rate) = &self.exposure {
             text += &rate.to_text();
         }
         text

@@ -201,7 +201,7 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
         code == 1 && error.contains("the other controller gave no answer"),
         "{error}"
     );
-    let silent = &summary["methods"][1]["other_unanswered"];
+    let silent = &summary["methods"][1]["second_missing_answers"];
     assert!(
         silent["runs"]
             .as_u64()

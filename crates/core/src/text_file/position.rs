@@ -2,6 +2,8 @@
 
 use std::ops::Range;
 
+use crate::old_names::old_names_of;
+
 /// Returns the line, from 1, of a field in TOML text; for an absent field, that of its deepest parent.
 #[must_use]
 pub fn line_in_toml(text: &str, field: &str) -> usize {
@@ -22,7 +24,7 @@ pub fn raw_toml_value<'t>(text: &'t str, field: &str) -> Option<&'t str> {
 }
 
 /// Returns the line, from 1, of a byte offset.
-pub(crate) fn line_at(text: impl AsRef<[u8]>, offset: usize) -> usize {
+pub(super) fn line_at(text: impl AsRef<[u8]>, offset: usize) -> usize {
     1 + text
         .as_ref()
         .iter()
@@ -64,7 +66,12 @@ fn find_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     let mut array = None;
     for step in path_steps(field) {
         let value = match step {
-            PathStep::Field(name) => table.and_then(|table| table.get(name)),
+            PathStep::Field(name) => table.and_then(|table| {
+                let mut old_names = old_names_of(name);
+                table
+                    .get(name)
+                    .or_else(|| old_names.find_map(|old| table.get(old)))
+            }),
             PathStep::Index(index) => {
                 array.and_then(|array: &toml::de::DeArray<'_>| array.get(index))
             }

@@ -184,7 +184,7 @@ impl Manifest {
     /// Returns the name of the file that will replace a file.
     fn unfinished_for(&self, file: &str) -> Option<&str> {
         self.pending.iter().find_map(|pending| match pending {
-            PendingChange::Move { unfinished, name } if name == file => Some(unfinished.as_str()),
+            PendingChange::Place { unfinished, name } if name == file => Some(unfinished.as_str()),
             _ => None,
         })
     }
@@ -196,7 +196,7 @@ impl Manifest {
             .map(|text| (MANIFEST_FILE.to_owned(), sha256(text)));
         let files = self.files.iter().filter_map(|(name, state)| match state {
             FileState::Whole { sha256, .. } => Some((name.clone(), sha256.clone())),
-            FileState::AppendOnly(_) => None,
+            FileState::Growing(_) => None,
         });
         files.chain(own).collect()
     }
@@ -312,7 +312,7 @@ impl Manifest {
     /// Returns the recorded prefix of an append-only file.
     pub(super) fn prefix(&self, name: &str) -> Option<&Prefix> {
         match self.files.get(name)? {
-            FileState::AppendOnly(prefix) => Some(prefix),
+            FileState::Growing(prefix) => Some(prefix),
             FileState::Whole { .. } => None,
         }
     }
@@ -328,7 +328,7 @@ impl Manifest {
     /// Announces that the file `unfinished` will replace the file `name`, which then has the given state.
     pub(super) fn add_pending_move(&mut self, name: &str, unfinished: String, state: FileState) {
         self.pending.retain(|pending| pending.name() != name);
-        self.pending.push(PendingChange::Move {
+        self.pending.push(PendingChange::Place {
             unfinished,
             name: name.to_owned(),
         });
@@ -379,7 +379,7 @@ impl Manifest {
     fn is_unapplied(&self, folder: &Path, pending: &PendingChange) -> Result<bool, RunFolderError> {
         let path = folder.join(pending.name());
         match pending {
-            PendingChange::Move { unfinished, name } => match self.files.get(name) {
+            PendingChange::Place { unfinished, name } => match self.files.get(name) {
                 Some(state)
                     if !state.matches_file(&path)
                         && state.matches_file(&folder.join(unfinished)) =>
@@ -390,7 +390,7 @@ impl Manifest {
             },
             PendingChange::Remove { old_state: was, .. } => match path.symlink_metadata() {
                 Err(_) => Ok(false),
-                Ok(_) if matches!(was, FileState::AppendOnly(_)) || was.matches_file(&path) => {
+                Ok(_) if matches!(was, FileState::Growing(_)) || was.matches_file(&path) => {
                     Ok(true)
                 }
                 Ok(_) => Err(RunFolderError::damaged(
@@ -403,7 +403,7 @@ impl Manifest {
 
     pub(super) fn unfinished_names(&self) -> impl Iterator<Item = String> + use<> {
         let used = self.pending.iter().filter_map(|pending| match pending {
-            PendingChange::Move { unfinished, .. } => disk::parse_number(unfinished),
+            PendingChange::Place { unfinished, .. } => disk::parse_number(unfinished),
             PendingChange::Remove { .. } => None,
         });
         let first = used.max().map_or(0, |last| last.saturating_add(1));
@@ -413,7 +413,7 @@ impl Manifest {
     /// Checks the contents of a file against its recorded state.
     pub(super) fn check(&self, name: &str, contents: Option<&[u8]>) -> Result<(), String> {
         match (self.files.get(name), contents) {
-            (None, None) | (Some(FileState::AppendOnly(_)), _) => Ok(()),
+            (None, None) | (Some(FileState::Growing(_)), _) => Ok(()),
             (Some(state), Some(contents)) if state.matches_contents(contents) => Ok(()),
             (Some(_), Some(_)) => Err("has changed since it was written".to_owned()),
             (Some(_), None) => Err(MISSING_FILE_MESSAGE.to_owned()),

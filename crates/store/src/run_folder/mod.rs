@@ -461,7 +461,7 @@ impl RunFolder {
     /// [`RunFolderError::Disk`] if the manifest cannot be written.
     pub fn record_prefix(&self, name: &str, prefix: Prefix) -> Result<(), RunFolderError> {
         let mut manifest = self.lock_manifest();
-        manifest.set_state(name, FileState::AppendOnly(prefix));
+        manifest.set_state(name, FileState::Growing(prefix));
         Ok(manifest.write(&self.folder)?)
     }
 

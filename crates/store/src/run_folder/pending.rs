@@ -14,8 +14,7 @@ use crate::disk::{self, DiskError};
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum PendingChange {
     /// The file `unfinished`, beside the manifest, will replace `name`.
-    #[serde(rename = "place")]
-    Move { unfinished: String, name: String },
+    Place { unfinished: String, name: String },
     /// The file will be removed; `old_state` was its state.
     #[serde(rename = "was")]
     Remove { name: String, old_state: FileState },
@@ -24,13 +23,13 @@ pub(super) enum PendingChange {
 impl PendingChange {
     pub(super) fn name(&self) -> &str {
         match self {
-            Self::Move { name, .. } | Self::Remove { name, .. } => name,
+            Self::Place { name, .. } | Self::Remove { name, .. } => name,
         }
     }
 
     pub(super) fn is_inside_folder(&self) -> bool {
         match self {
-            Self::Move { unfinished, name } => {
+            Self::Place { unfinished, name } => {
                 is_inside_folder(name)
                     && !unfinished.contains('/')
                     && disk::is_unfinished(Path::new(unfinished))
@@ -47,7 +46,7 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
     for change in changes {
         let path = folder.join(change.name());
         match change {
-            PendingChange::Move { unfinished, .. } => {
+            PendingChange::Place { unfinished, .. } => {
                 parents.extend(path.parent().map(Path::to_owned));
                 // Also remove the temporary name: a rename between two hard links of one file leaves both names.
                 gone.push(folder.join(unfinished));
@@ -60,7 +59,7 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
         .iter()
         .try_for_each(|parent| disk::make_folder(parent))?;
     for change in changes {
-        if let PendingChange::Move { unfinished, name } = change {
+        if let PendingChange::Place { unfinished, name } = change {
             let path = folder.join(name);
             fs::rename(folder.join(unfinished), &path).map_err(DiskError::at(&path))?;
         }

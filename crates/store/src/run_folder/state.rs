@@ -15,8 +15,7 @@ use crumple_core::regular_file;
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum FileState {
     /// Begins with this prefix. The records after it have their own checksums.
-    #[serde(rename = "growing")]
-    AppendOnly(Prefix),
+    Growing(Prefix),
     /// Has these contents.
     Whole { bytes: u64, sha256: String },
 }
@@ -85,7 +84,7 @@ impl FileState {
 
     pub(super) fn max_bytes(&self) -> u64 {
         match self {
-            Self::AppendOnly(_) => u64::MAX,
+            Self::Growing(_) => u64::MAX,
             Self::Whole { bytes, .. } => *bytes,
         }
     }
@@ -93,7 +92,7 @@ impl FileState {
     pub(super) fn matches_contents(&self, contents: &[u8]) -> bool {
         match self {
             // `Prefix::check_file` checks these.
-            Self::AppendOnly(_) => true,
+            Self::Growing(_) => true,
             Self::Whole {
                 bytes,
                 sha256: expected,

@@ -127,7 +127,7 @@ impl<'a> FolderTransaction<'a> {
                 // Keep a prefix that is already recorded.
                 FileChange::AppendOnly if next.prefix(&name).is_some() => {}
                 FileChange::AppendOnly => {
-                    next.set_state(&name, FileState::AppendOnly(Prefix::empty()));
+                    next.set_state(&name, FileState::Growing(Prefix::empty()));
                 }
                 FileChange::Write(contents) => {
                     let state = FileState::from_contents(&contents);

@@ -13,7 +13,7 @@ pub(super) struct MethodResults {
     pub(super) failures: u64,
     pub(super) best: f64,
     /// Evaluations for which the partner controller gave no answer.
-    pub(super) other_unanswered: Option<UnansweredPartnerRuns>,
+    pub(super) second_missing_answers: Option<UnansweredPartnerRuns>,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -39,7 +39,7 @@ impl MethodResults {
             first: None,
             failures: 0,
             best: f64::INFINITY,
-            other_unanswered: None,
+            second_missing_answers: None,
         }
     }
 
@@ -51,14 +51,14 @@ impl MethodResults {
         }
         // If the own verdict is no violation, the failure is that of the partner controller.
         if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
-            let unanswered = self
-                .other_unanswered
-                .get_or_insert_with(|| UnansweredPartnerRuns {
-                    runs: 0,
-                    first: evaluated.number,
-                    values: evaluated.values.clone(),
-                    reason: String::new(),
-                });
+            let unanswered =
+                self.second_missing_answers
+                    .get_or_insert_with(|| UnansweredPartnerRuns {
+                        runs: 0,
+                        first: evaluated.number,
+                        values: evaluated.values.clone(),
+                        reason: String::new(),
+                    });
             unanswered.runs += 1;
         }
         self.best = self.best.min(evaluated.verdict.robustness);

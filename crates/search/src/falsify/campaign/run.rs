@@ -310,7 +310,7 @@ impl Campaign {
     /// Finds the reasons why the partner controller gave no answer, because the journal does not record them.
     fn find_unanswered_reasons(&self, state: &mut CampaignState) -> Result<(), CampaignError> {
         for results in &mut state.findings.method_results {
-            if let Some(unanswered) = &mut results.other_unanswered {
+            if let Some(unanswered) = &mut results.second_missing_answers {
                 let scenario = state.config.space.scenario(&unanswered.values)?;
                 let reason = self.evaluator().partner_failure_reason(&scenario);
                 unanswered.reason = reason

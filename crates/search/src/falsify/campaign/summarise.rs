@@ -59,7 +59,7 @@ impl MethodSummary {
             first_falsification: results.first,
             failures: results.failures,
             best_robustness: finite_or_none(results.best),
-            other_unanswered: results.other_unanswered.as_ref().map(|unanswered| {
+            second_missing_answers: results.second_missing_answers.as_ref().map(|unanswered| {
                 FailedControllerRuns {
                     runs: unanswered.runs,
                     reason: unanswered.reason.clone(),

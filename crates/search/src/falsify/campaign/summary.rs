@@ -156,8 +156,12 @@ pub struct MethodSummary {
     #[serde(with = "non_finite::optional")]
     pub best_robustness: Option<f64>,
     /// Evaluations whose partner simulation gave no answer; they do not count as failures.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub other_unanswered: Option<FailedControllerRuns>,
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        alias = "other_unanswered"
+    )]
+    pub second_missing_answers: Option<FailedControllerRuns>,
 }
 
 /// Failures of one kind.
@@ -398,7 +402,7 @@ impl CampaignSummary {
             return Ok(());
         };
         for method in &self.methods {
-            if let Some(unanswered) = &method.other_unanswered {
+            if let Some(unanswered) = &method.second_missing_answers {
                 writeln!(
                     out,
                     "  NOT COMPARED: `{}` {} ({}); these do not count as failures",
