@@ -31,6 +31,8 @@ from qc_openscenario.main import run_checks
 from scenariogeneration import xodr, xosc
 
 CLOSE_M = CLOSE_MPS = 0.01
+# A trajectory states mean speeds only. The largest error in these random scenarios is 0.057 m/s.
+TRAJECTORY_CLOSE_MPS = 0.1
 BIN, COUNT = Path(sys.argv[1]), int(sys.argv[2])
 # Distance from rear axle to front bumper that the exporter uses.
 AHEAD = 0.8
@@ -134,7 +136,7 @@ def assert_same_motion(name, tracks, again):
     # A collision ends the last step early.
     end_s = min(tracks[0][0][-1], again[0][0][-1]) - 1e-6
     for (times_s, *values), (other_times_s, *other_values) in zip(tracks, again):
-        for each, other, tolerance in zip(values, other_values, (CLOSE_M, CLOSE_MPS)):
+        for each, other, tolerance in zip(values, other_values, (CLOSE_M, TRAJECTORY_CLOSE_MPS)):
             read = interpolate(list(zip(other_times_s, other)), times_s)
             for time_s, value, found in zip(times_s, each, read):
                 assert time_s >= end_s or abs(value - found) <= tolerance, f"{name}, {time_s} s: {value}, not {found}"

@@ -78,11 +78,12 @@ run simulate counterexamples/high-risk/predictive/02-2-hits-1-escape.toml --expe
 run simulate counterexamples/high-risk/predictive/03-1-hits-0.toml --controller predictive --expect collision
 run simulate counterexamples/high-risk/predictive/03-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/predictive/04-1-hits-0.toml --controller predictive --expect collision
-run simulate counterexamples/high-risk/predictive/04-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/predictive/05-2-hits-1.toml --controller predictive --expect collision
-run simulate counterexamples/high-risk/predictive/05-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/05-1-hits-0.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/05-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/predictive/06-2-hits-1.toml --controller predictive --expect collision
 run simulate counterexamples/high-risk/predictive/06-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/07-2-hits-1.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/07-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/01-1-hits-0.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/02-2-hits-1.toml --controller policy --expect collision
@@ -127,6 +128,7 @@ run simulate counterexamples/high-risk/shield-policy/10-2-hits-1.toml --controll
 run simulate counterexamples/high-risk/shield-policy/10-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/01-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/02-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/03-1-hits-0.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/03-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/04-2-hits-1.toml --controller road --expect collision
@@ -134,10 +136,19 @@ run simulate counterexamples/high-risk/road/04-2-hits-1-escape.toml --expect saf
 run simulate counterexamples/high-risk/road/05-1-hits-0.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/05-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/06-1-hits-0.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/06-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/07-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/07-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/08-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/09-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/09-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/10-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/10-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/11-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/11-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/12-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/12-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/13-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/13-2-hits-1-escape.toml --expect safe
 exit $failed

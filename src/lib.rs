@@ -46,7 +46,7 @@
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
 //! let result = simulate(&run, RecordingLevel::Summary);
 //! // The baseline avoids the vehicle ahead and is hit from behind, by a lorry that drives `baseline`, too.
-//! assert!(matches!(result.outcome, Outcome::Collision(contact) if contact.rear_vehicle == 2));
+//! assert!(matches!(result.outcome, Outcome::Collision(collision) if collision.rear_vehicle == 2));
 //! # Ok(())
 //! # }
 //! ```

@@ -53,7 +53,7 @@ pub fn batch(count: usize) -> Batch {
             action,
             reward,
             continues: true,
-            contact: false,
+            collision: false,
             expert_action: None,
         });
     }

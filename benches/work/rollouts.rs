@@ -40,9 +40,9 @@ pub fn steps(run: &Run, result: &SimulationResult) -> usize {
     let step_s = run.scenario().spec().step_s;
     result
         .outcome
-        .contact()
-        .map_or(run.scenario().steps(), |contact| {
-            (contact.time_s / step_s) as usize + 1
+        .collision()
+        .map_or(run.scenario().steps(), |collision| {
+            (collision.time_s / step_s) as usize + 1
         })
 }
 

@@ -42,8 +42,8 @@ const TIME_GAP_S: f64 = 1.5;
 
 #[derive(Default)]
 struct SpaceTotals {
-    contacts: u64,
-    leader_contacts: u64,
+    collisions: u64,
+    leader_collisions: u64,
     hard: u64,
     unnecessary: u64,
     fell_behind: u64,
@@ -62,13 +62,13 @@ struct ParetoPoint {
     /// RMS jerk in `traffic`.
     jerk_mps3: f64,
     /// Share of random scenarios of `high-risk`.
-    contacts_percent: f64,
+    collisions_percent: f64,
     /// False for a trained policy.
     is_untrained: bool,
 }
 
 const JERK_TICKS_MPS3: [f64; 8] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
-const CONTACT_TICKS_PERCENT: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
+const COLLISION_TICKS_PERCENT: [f64; 8] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0];
 
 impl ParetoPoint {
     fn new(controller: &NamedController) -> Self {
@@ -79,7 +79,7 @@ impl ParetoPoint {
                 .map_or(name.as_str().into(), |name| name.to_string_lossy())
                 .into_owned(),
             jerk_mps3: 0.0,
-            contacts_percent: 0.0,
+            collisions_percent: 0.0,
             is_untrained: !name.ends_with(".safetensors"),
         }
     }
@@ -90,8 +90,8 @@ impl ParetoPoint {
             self.jerk_mps3
                 .clamp(JERK_TICKS_MPS3[0], JERK_TICKS_MPS3[7])
                 .log10(),
-            self.contacts_percent
-                .clamp(CONTACT_TICKS_PERCENT[0], CONTACT_TICKS_PERCENT[7])
+            self.collisions_percent
+                .clamp(COLLISION_TICKS_PERCENT[0], COLLISION_TICKS_PERCENT[7])
                 .log10(),
         )
     }
@@ -261,12 +261,12 @@ impl SpaceComparisonArgs {
                     .trace
                     .as_ref()
                     .and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
-                (result.outcome.contact().copied(), measures)
+                (result.outcome.collision().copied(), measures)
             });
-            for (contact, measures) in results {
-                totals.contacts += u64::from(contact.is_some());
-                totals.leader_contacts +=
-                    u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
+            for (collision, measures) in results {
+                totals.collisions += u64::from(collision.is_some());
+                totals.leader_collisions +=
+                    u64::from(collision.is_some_and(|collision| collision.front_vehicle == 0));
                 if let Some(measures) = measures {
                     totals.add_measures(measures);
                 }
@@ -290,7 +290,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
             print_totals(space, &controller.name, &totals, arguments.draws);
             let n = arguments.draws as f64;
             match space {
-                EMERGENCY_SPACE => point.contacts_percent = 100.0 * totals.contacts as f64 / n,
+                EMERGENCY_SPACE => point.collisions_percent = 100.0 * totals.collisions as f64 / n,
                 TRAFFIC_SPACE => point.jerk_mps3 = (totals.squares[1] / n).sqrt(),
                 _ => {}
             }
@@ -306,13 +306,13 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
 
 fn print_totals(space: &str, name: &str, totals: &SpaceTotals, draws: u64) {
     let n = draws as f64;
-    let bounds = RateInterval::clopper_pearson(totals.contacts, draws, 0.95);
+    let bounds = RateInterval::clopper_pearson(totals.collisions, draws, 0.95);
     println!(
         "| {space} | {name} | {} ({:.2} to {:.2}) | {} | {} | {} | {} | {:.2} | {:.3} | {:.3} | {:.2} | {:.2} |",
-        totals.contacts,
+        totals.collisions,
         100.0 * bounds.lower,
         100.0 * bounds.upper,
-        totals.leader_contacts,
+        totals.leader_collisions,
         totals.hard,
         totals.unnecessary,
         totals.fell_behind,
@@ -364,7 +364,7 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
         frame,
         title,
         logarithmic_axis("m/s³", &JERK_TICKS_MPS3),
-        logarithmic_axis("", &CONTACT_TICKS_PERCENT),
+        logarithmic_axis("", &COLLISION_TICKS_PERCENT),
     );
     let positions: Vec<(f64, f64)> = front.iter().map(ParetoPoint::position).collect();
     for (index, (point, &(x, y))) in front.iter().zip(&positions).enumerate() {

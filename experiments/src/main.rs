@@ -4,14 +4,19 @@
 //! Each module documents its output and arguments. Without a name the program lists the experiments.
 
 mod both_sides;
+mod car_brakes;
 mod chasing_cars;
+mod controllers;
 mod falsification;
 mod filter_errors;
+mod follower_kinds;
 mod learning_curve;
+mod openacc;
 mod plants_and_sensors;
 mod scenario_of_input;
 mod search_comparison;
 mod transmission;
+mod two_sided;
 
 /// Problems that the benches measure, too.
 #[allow(
@@ -24,6 +29,11 @@ mod work {
     pub(crate) mod chasing_cars;
 }
 
+/// Closed loops that the tests of the simulator simulate, too.
+#[allow(dead_code, reason = "the tests also measure times")]
+#[path = "../../crates/sim/tests/two_sided/closed_loop.rs"]
+mod closed_loop;
+
 use std::process::ExitCode;
 
 type ExperimentError = Box<dyn std::error::Error + Send + Sync>;
@@ -34,7 +44,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 8] = [
+const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
@@ -42,9 +52,20 @@ const EXPERIMENTS: [Experiment; 8] = [
         run: both_sides::run,
     },
     Experiment {
+        name: "car_brakes",
+        arguments: "predict ATTEMPT TESTS.csv FOLDER | validate ATTEMPT TESTS.csv FOLDER | sensitivity ATTEMPT \
+                    TESTS.csv",
+        run: car_brakes::run,
+    },
+    Experiment {
         name: "chasing_cars",
         arguments: "FIRST_SEED SEEDS [METHOD]",
         run: chasing_cars::run,
+    },
+    Experiment {
+        name: "controllers",
+        arguments: "ROWS [draws=N] [recordings=FOLDER] [controller=NAME]...",
+        run: controllers::run,
     },
     Experiment {
         name: "filter_errors",
@@ -52,9 +73,19 @@ const EXPERIMENTS: [Experiment; 8] = [
         run: filter_errors::run,
     },
     Experiment {
+        name: "follower_kinds",
+        arguments: "RUNS SPACE REFERENCE CONTROLLER... [seed=N] [estimator=truth]",
+        run: follower_kinds::run,
+    },
+    Experiment {
         name: "learning_curve",
         arguments: "TABLE.csv CONFIGURATION FIGURE.svg",
         run: learning_curve::run,
+    },
+    Experiment {
+        name: "openacc",
+        arguments: "RECORDINGS FILES.sha256 OUT",
+        run: openacc::run,
     },
     Experiment {
         name: "plants_and_sensors",
@@ -76,6 +107,12 @@ const EXPERIMENTS: [Experiment; 8] = [
         arguments: "FIRST_SEED SEEDS [METHOD]",
         run: transmission::run,
     },
+    Experiment {
+        name: "two_sided",
+        arguments: "loops RUNS [FIRST] | shares SPACE RUNS [SETTING=NUMBER]... | runs SPACE RUNS CONTROLLER... | \
+                    avoid SPACE RUNS [SETTING=NUMBER]... | followers SPACE RUNS CONTROLLER...",
+        run: two_sided::run,
+    },
 ];
 
 fn main() -> ExitCode {
@@ -93,7 +130,7 @@ fn main() -> ExitCode {
         eprintln!("error: name an experiment:");
         for Experiment {
             name, arguments, ..
-        } in &EXPERIMENTS
+        } in EXPERIMENTS
         {
             eprintln!("  {name} {arguments}");
         }

@@ -8,7 +8,7 @@ use crumple_controllers::Controllers;
 use std::path::Path;
 
 use crumple::sim::engine::{
-    AfterContact, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
+    AfterCollision, NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch,
 };
 use crumple::sim::scenario::{GhostObject, PlantKind, Scenario, SensorFaults, built_in_scenario};
 use crumple::spaces::{ScenarioSpace, built_in_space};
@@ -218,13 +218,16 @@ fn describe_impacts(
     controller: &NamedController,
 ) -> Result<String, ExperimentError> {
     let options =
-        RunOptions::new(controller.source.clone()).with_after_contact(AfterContact::Continue);
+        RunOptions::new(controller.source.clone()).with_after_collision(AfterCollision::Continue);
     let simulated = simulate(&Run::new(scenario, options)?, RecordingLevel::Summary);
     let impacts = simulated.impacts.iter().map(|impact| {
-        let contact = &impact.contact;
+        let collision = &impact.collision;
         format!(
             "{} hits {} at {:.2} s, {:.1} m/s",
-            contact.rear_vehicle, contact.front_vehicle, contact.time_s, contact.impact_speed_mps
+            collision.rear_vehicle,
+            collision.front_vehicle,
+            collision.time_s,
+            collision.impact_speed_mps
         )
     });
     let impacts: Vec<_> = impacts.collect();

@@ -31,8 +31,8 @@ def main(budget):
     found = crumple.falsify(acc, "high-risk", budget=budget)
     print(found)
     for failure in found.failures[:3]:
-        contact = failure.replay().contact
-        print(f"{failure.kind}: {contact['impact_speed_mps']:.1f} m/s at {contact['time_s']:.1f} s")
+        collision = failure.replay().collision
+        print(f"{failure.kind}: {collision['impact_speed_mps']:.1f} m/s at {collision['time_s']:.1f} s")
     if found.failures:
         found.failures[0].plot().save("acc-fails.svg")
         print("wrote acc-fails.svg")

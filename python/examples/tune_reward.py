@@ -34,9 +34,9 @@ def score(costs, steps):
         file = str(Path(folder) / "model.zip")
         danger = [crumple.space("high-risk").draw(1, index) for index in range(200)]
         traffic = [crumple.space("traffic").draw(1, index) for index in range(50)]
-        contacts = sum(not run.is_safe for run in crumple.simulate(danger, file, "truth", trace=False))
+        collisions = sum(not run.is_safe for run in crumple.simulate(danger, file, "truth", trace=False))
         calm = [run.vehicles[1]["max_brake_mps2"] for run in crumple.simulate(traffic, file, "truth", trace=False)]
-    return contacts / len(danger), sum(calm) / len(calm)
+    return collisions / len(danger), sum(calm) / len(calm)
 
 
 def main(trials, steps):
@@ -44,9 +44,9 @@ def main(trials, steps):
 
     def objective(trial):
         costs = {name: trial.suggest_float(name, 0.0, 1.0) for name in ("far", "relative_speed", "unnecessary_braking")}
-        contacts, braking_mps2 = score(costs, steps)
-        trial.set_user_attr("contacts", contacts)
-        return contacts + 0.02 * braking_mps2
+        collisions, braking_mps2 = score(costs, steps)
+        trial.set_user_attr("collisions", collisions)
+        return collisions + 0.02 * braking_mps2
 
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=0))
     study.optimize(objective, n_trials=trials)

@@ -36,6 +36,7 @@ pub(crate) fn falsify<'py>(
     estimator: &str,
     folder: PathBuf,
     resume: bool,
+    threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let stop = StopFlag::default();
@@ -48,7 +49,7 @@ pub(crate) fn falsify<'py>(
             .with_budget(budget)
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
-    let summary = run_interruptible(py, &stop, progress.as_ref(), |say| {
+    let summary = run_interruptible(py, &stop, progress.as_ref(), threads, |say| {
         campaign.run(&folder, resume, &|state: &CampaignProgress| {
             say((state.evaluations, total, state.failures))
         })
@@ -76,6 +77,7 @@ pub(crate) fn compare<'py>(
     budget: u64,
     seed: u64,
     estimator: &str,
+    threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let stop = StopFlag::default();
@@ -88,7 +90,7 @@ pub(crate) fn compare<'py>(
         .iter()
         .map(|method| resolve_method(method, &raised))
         .collect::<PyResult<Vec<_>>>()?;
-    let compared = run_interruptible(py, &stop, progress.as_ref(), |say| {
+    let compared = run_interruptible(py, &stop, progress.as_ref(), threads, |say| {
         let observe =
             |state: &CampaignProgress| say((state.evaluations, state.total, state.failures));
         MethodComparison::run(&campaign, &methods, seeds, &observe)
@@ -96,6 +98,23 @@ pub(crate) fn compare<'py>(
     raised.take()?;
     let compared = compared.map_err(|error| wrong(py, &error))?;
     Ok((serialize_to_python(py, &compared)?, compared.to_text()))
+}
+
+/// Joins comparisons of consecutive seeds, each the data of [`compare`] as JSON. Returns the results as data and as
+/// text.
+#[pyfunction]
+pub(crate) fn join_comparisons<'py>(
+    py: Python<'py>,
+    parts: Vec<String>,
+) -> PyResult<(Bound<'py, PyAny>, String)> {
+    let parts = parts
+        .iter()
+        .map(|part| serde_json::from_str(part))
+        .collect::<Result<Vec<MethodComparison>, _>>()
+        .map_err(|error| wrong(py, &error))?;
+    let joined = MethodComparison::join(&parts)
+        .ok_or_else(|| wrong(py, &"the comparisons of the seeds do not fit each other"))?;
+    Ok((serialize_to_python(py, &joined)?, joined.to_text()))
 }
 
 /// Returns a campaign with the default method.

@@ -12,6 +12,7 @@ use crumple_sim::observation::{Neighbour, Observation as Seen};
 use numpy::{AllowTypeChange, PyArray1, PyArrayLike1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::errors::{self, ExceptionClass};
 use crate::interruptible::StopFlag;
@@ -66,6 +67,23 @@ impl PyObservation {
             speed_behind_mps,
             acceleration_behind_mps2,
         }
+    }
+
+    /// Returns the arguments of the constructor, for pickles.
+    fn __getnewargs_ex__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(Bound<'py, PyTuple>, Bound<'py, PyDict>)> {
+        let quantities = PyDict::new(py);
+        quantities.set_item("speed_mps", self.speed_mps)?;
+        quantities.set_item("acceleration_mps2", self.acceleration_mps2)?;
+        quantities.set_item("gap_ahead_m", self.gap_ahead_m)?;
+        quantities.set_item("speed_ahead_mps", self.speed_ahead_mps)?;
+        quantities.set_item("acceleration_ahead_mps2", self.acceleration_ahead_mps2)?;
+        quantities.set_item("gap_behind_m", self.gap_behind_m)?;
+        quantities.set_item("speed_behind_mps", self.speed_behind_mps)?;
+        quantities.set_item("acceleration_behind_mps2", self.acceleration_behind_mps2)?;
+        Ok((PyTuple::empty(py), quantities))
     }
 
     fn __repr__(&self) -> String {
@@ -149,9 +167,17 @@ pub(crate) fn resolve_controller(
             "interval_s must be a positive number of seconds, or None",
         ));
     }
+    let mode = CallMode::from_controller(controller)?;
+    let warns = controller.getattr("warns")?.is_truthy()?;
+    if warns && mode == CallMode::Batch {
+        return Err(PyValueError::new_err(
+            "a batch reports no warnings: choose batch or warns",
+        ));
+    }
     let callable = Arc::new(PythonCallable {
         decide: decide.unbind(),
-        mode: CallMode::from_controller(controller)?,
+        mode,
+        warns,
         stop: stop.clone(),
     });
     let identity = controller.getattr("identity")?.extract()?;
@@ -195,6 +221,8 @@ impl CallMode {
 struct PythonCallable {
     decide: Py<PyAny>,
     mode: CallMode,
+    /// True if it returns an acceleration and whether it warns the driver.
+    warns: bool,
     stop: StopFlag,
 }
 
@@ -219,7 +247,7 @@ impl ControllerSource for PythonSource {
 
     fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
         if self.callable.mode != CallMode::PerRun {
-            return Ok(Box::new(PythonDriver(Arc::clone(&self.callable))));
+            return Ok(Box::new(PythonDriver::new(Arc::clone(&self.callable))));
         }
         self.callable.check_stop()?;
         let decide = Python::attach(|py| {
@@ -231,9 +259,14 @@ impl ControllerSource for PythonSource {
         let called = PythonCallable {
             decide,
             mode: CallMode::Single,
+            warns: self.callable.warns,
             stop: self.callable.stop.clone(),
         };
-        Ok(Box::new(PythonDriver(Arc::new(called))))
+        Ok(Box::new(PythonDriver::new(Arc::new(called))))
+    }
+
+    fn reports_warnings(&self) -> bool {
+        self.callable.warns
     }
 }
 
@@ -285,23 +318,44 @@ impl BatchController for PythonCallable {
 }
 
 /// Controller of one vehicle by a callable.
-struct PythonDriver(Arc<PythonCallable>);
+struct PythonDriver {
+    callable: Arc<PythonCallable>,
+    is_warning: bool,
+}
+
+impl PythonDriver {
+    fn new(callable: Arc<PythonCallable>) -> Self {
+        Self {
+            callable,
+            is_warning: false,
+        }
+    }
+}
 
 impl Controller for PythonDriver {
     fn decide(&mut self, seen: &Seen) -> Result<f64, ControllerFailure> {
-        if self.0.mode == CallMode::Batch {
+        let callable = &self.callable;
+        if callable.mode == CallMode::Batch {
             let mut answer_mps2 = [0.0];
-            self.0
-                .decide_batch(std::slice::from_ref(seen), &mut answer_mps2)?;
+            callable.decide_batch(std::slice::from_ref(seen), &mut answer_mps2)?;
             return Ok(answer_mps2[0]);
         }
-        self.0.check_stop()?;
-        Python::attach(|py| {
-            let answered = self.0.decide.bind(py).call1((PyObservation::new(seen),));
+        callable.check_stop()?;
+        let (answer_mps2, is_warning) = Python::attach(|py| {
+            let answered = callable.decide.bind(py).call1((PyObservation::new(seen),));
             answered
-                .and_then(|answered| answered.extract())
+                .and_then(|answered| match callable.warns {
+                    true => answered.extract::<(f64, bool)>(),
+                    false => Ok((answered.extract()?, false)),
+                })
                 .map_err(|error| failure_from_exception(py, &error))
-        })
+        })?;
+        self.is_warning = is_warning;
+        Ok(answer_mps2)
+    }
+
+    fn is_warning(&self) -> bool {
+        self.is_warning
     }
 }
 

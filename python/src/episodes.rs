@@ -197,7 +197,7 @@ impl SubEnvironment {
 /// Returns the index of an ending in `crumple.env.ENDINGS`.
 fn ending_code(ending: EpisodeEnding) -> u8 {
     match ending {
-        EpisodeEnding::Contact => 1,
+        EpisodeEnding::Collision => 1,
         EpisodeEnding::AtRest => 2,
         EpisodeEnding::TimeLimit => 3,
         _ => 0,
@@ -288,7 +288,7 @@ impl Episodes {
     ) -> PyResult<()> {
         let mask = mask.as_slice()?;
         let states = states.as_slice_mut()?;
-        let pool = threads::pool()?;
+        let pool = threads::pool(None)?;
         py.detach(|| self.reset_masked(&pool, &seeds, mask, states))
             .map_err(|error| training_error(py, &error))
     }
@@ -318,7 +318,7 @@ impl Episodes {
             truncated: truncated.as_slice_mut()?,
             endings: endings.as_slice_mut()?,
         };
-        let pool = threads::pool()?;
+        let pool = threads::pool(None)?;
         py.detach(|| self.step_all(&pool, actions, arrays))
             .map_err(|error| training_error(py, &error))
     }
@@ -462,7 +462,7 @@ pub(crate) fn training_preset(py: Python<'_>, name: &str) -> PyResult<&'static s
 }
 
 /// Loads a preset of `crumple train` by name, from a file, or from a text of at least two lines.
-fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
+pub(crate) fn load_training_config(py: Python<'_>, preset: &str) -> PyResult<TrainingConfig> {
     if preset.contains('\n') {
         return TrainingConfig::parse(preset, std::path::Path::new("<toml>"))
             .map_err(|error| training_error(py, &error));

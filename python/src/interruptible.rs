@@ -78,21 +78,53 @@ pub(crate) fn stop_all_work(py: Python<'_>) {
     });
 }
 
+/// Function that work reports progress to; it ends the work once the work's [`StopFlag`] is set.
+pub(crate) type ReportProgress<'a> = &'a (dyn Fn(ProgressCounts) -> ControlFlow<()> + Sync);
+
 /// Runs `work` on the simulation threads, without the interpreter's lock. The function that `work` reports progress to
 /// ends it once `stop` is set: at a signal (Ctrl-C), and at an exception of `progress`.
 pub(crate) fn run_interruptible<T: Send>(
     py: Python<'_>,
     stop: &StopFlag,
     progress: Option<&Py<PyAny>>,
-    work: impl FnOnce(&(dyn Fn(ProgressCounts) -> ControlFlow<()> + Sync)) -> T + Send,
+    threads: Option<usize>,
+    work: impl FnOnce(ReportProgress<'_>) -> T + Send,
 ) -> PyResult<T> {
-    // Nested work can deadlock with the threads that wait for it, so it is always refused.
+    refuse_nested_work()?;
+    let pool = threads::pool(threads)?;
+    run_beside(py, stop, progress, move |say| {
+        pool.install(move || work(say))
+    })
+}
+
+/// Runs `work`, which mostly waits, on a thread of its own, and otherwise like [`run_interruptible`].
+pub(crate) fn wait_interruptible<T: Send>(
+    py: Python<'_>,
+    stop: &StopFlag,
+    progress: Option<&Py<PyAny>>,
+    work: impl FnOnce(ReportProgress<'_>) -> T + Send,
+) -> PyResult<T> {
+    refuse_nested_work()?;
+    run_beside(py, stop, progress, work)
+}
+
+/// Refuses work of a controller that drives: it can deadlock with the threads that wait for it.
+fn refuse_nested_work() -> PyResult<()> {
     if rayon::current_thread_index().is_some() {
         return Err(PyRuntimeError::new_err(
             "a controller cannot begin simulations of its own while it drives",
         ));
     }
-    let pool = threads::pool()?;
+    Ok(())
+}
+
+/// Runs `work` on another thread, while this one reports progress and checks for signals.
+fn run_beside<T: Send>(
+    py: Python<'_>,
+    stop: &StopFlag,
+    progress: Option<&Py<PyAny>>,
+    work: impl FnOnce(ReportProgress<'_>) -> T + Send,
+) -> PyResult<T> {
     ACTIVE_WORK
         .flags
         .lock()
@@ -103,16 +135,14 @@ pub(crate) fn run_interruptible<T: Send>(
     py.detach(move || {
         thread::scope(|scope| {
             let worker = scope.spawn(move || {
-                pool.install(move || {
-                    work(&|state| {
-                        // After an exception the channel has no receiver.
-                        let _ = sender.send(state);
-                        if stop.is_set() {
-                            ControlFlow::Break(())
-                        } else {
-                            ControlFlow::Continue(())
-                        }
-                    })
+                work(&|state| {
+                    // After an exception the channel has no receiver.
+                    let _ = sender.send(state);
+                    if stop.is_set() {
+                        ControlFlow::Break(())
+                    } else {
+                        ControlFlow::Continue(())
+                    }
                 })
             });
             let raised = report_progress(&receiver, stop, progress);

@@ -18,6 +18,7 @@ mod simulation;
 mod table;
 mod testing;
 mod threads;
+mod train;
 mod values;
 mod warnings;
 mod worst_case;
@@ -34,15 +35,16 @@ mod _crumple {
     #[pymodule_export]
     use crate::{
         assessment::{PyAssessment, assess},
-        campaign::{compare, falsify},
+        campaign::{compare, falsify, join_comparisons},
         controller::{PyObservation, allow_external},
         episodes::{Episodes, training_preset},
         figure::PyFigure,
         monitor::monitor,
-        rate::rate,
+        rate::{count_blocks, pool, rate},
         scenario::{PyScenario, PySpace},
         simulation::{PyTrace, PyTrack, Simulation, simulate},
         testing::{PyFamily, PyProperty},
+        train::train,
         worst_case::worst_case,
     };
 
@@ -55,6 +57,7 @@ mod _crumple {
             .import("atexit")?
             .call_method1("register", (leave,))?;
         crate::warnings::show_logged_warnings();
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         crumple_store::program::set_library_path(module.filename()?.extract::<PathBuf>()?);
         Ok(())
     }

@@ -108,7 +108,7 @@ pub(crate) fn monitor<'py>(
         })
     } else {
         let stop = StopFlag::default();
-        run_interruptible(py, &stop, None, |_| {
+        run_interruptible(py, &stop, None, None, |_| {
             rows.robustness_of_traces(&formula, traces, over_time, &stop)
         })?
     };

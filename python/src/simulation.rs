@@ -3,15 +3,19 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use crumple_measure::Specification;
+use crumple_measure::{ReportedController, RunReport, Specification};
+use crumple_sim::control::{BuiltInController, NoSettings};
 use crumple_sim::engine::{
-    self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
+    self, AfterCollision, Impact, Intervention, Outcome, RecordingLevel, Run, RunError, RunOptions,
+    SimulationResult, VehicleSummary, simulate_batch,
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
 use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::{PyFutureWarning, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyCapsule;
+use pyo3::types::{PyCapsule, PyTuple};
+use serde::{Deserialize, Serialize};
 
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
@@ -29,9 +33,9 @@ pub(crate) const ESTIMATORS: [(&str, EstimatorKind); 2] = [
     ("truth", EstimatorKind::Truth),
 ];
 
-const AFTER_CONTACT: [(&str, AfterContact); 2] = [
-    ("stop", AfterContact::Stop),
-    ("continue", AfterContact::Continue),
+const AFTER_COLLISION: [(&str, AfterCollision); 2] = [
+    ("stop", AfterCollision::Stop),
+    ("continue", AfterCollision::Continue),
 ];
 
 /// Motion of one vehicle: arrays with one entry per sample.
@@ -108,7 +112,55 @@ fn copy_samples(py: Python<'_>, array: &Py<PyArray1<f64>>) -> PyResult<Vec<f64>>
 }
 
 #[pymethods]
+impl PyTrack {
+    #[new]
+    fn from_samples(
+        length_m: f64,
+        mass_kg: f64,
+        position_m: Py<PyArray1<f64>>,
+        speed_mps: Py<PyArray1<f64>>,
+        acceleration_mps2: Py<PyArray1<f64>>,
+        in_lane_s: [f64; 2],
+    ) -> Self {
+        Self {
+            length_m,
+            mass_kg,
+            position_m,
+            speed_mps,
+            acceleration_mps2,
+            in_lane_s,
+        }
+    }
+
+    /// Returns the arguments of the constructor, for pickles.
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let arrays = [&self.position_m, &self.speed_mps, &self.acceleration_mps2];
+        let [position_m, speed_mps, acceleration_mps2] = arrays.map(|array| array.bind(py));
+        (
+            self.length_m,
+            self.mass_kg,
+            position_m,
+            speed_mps,
+            acceleration_mps2,
+            self.in_lane_s,
+        )
+            .into_pyobject(py)
+    }
+}
+
+#[pymethods]
 impl PyTrace {
+    #[new]
+    fn from_tracks(time_s: Py<PyArray1<f64>>, vehicles: Vec<Py<PyTrack>>) -> Self {
+        Self { time_s, vehicles }
+    }
+
+    /// Returns the arguments of the constructor, for pickles.
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let vehicles: Vec<_> = self.vehicles.iter().map(|track| track.bind(py)).collect();
+        (self.time_s.bind(py), vehicles).into_pyobject(py)
+    }
+
     /// Returns the table of `crumple simulate --trace` as an Arrow stream. Ignores a requested schema.
     #[pyo3(signature = (requested_schema = None))]
     fn __arrow_c_stream__<'py>(
@@ -132,14 +184,82 @@ impl PyTrace {
 pub(crate) struct Simulation {
     scenario: Scenario,
     controller: Arc<str>,
-    options: RunOptions,
+    is_deterministic: bool,
+    has_two_sided_shield: bool,
+    estimator: EstimatorKind,
+    dt_s: Option<f64>,
+    after_collision: AfterCollision,
+    /// Result without its trace.
     result: SimulationResult,
     #[pyo3(get)]
     trace: Option<Py<PyTrace>>,
 }
 
+/// Parts of a result without its trace, for pickles.
+#[derive(Serialize, Deserialize)]
+struct PickledResult {
+    is_deterministic: bool,
+    has_two_sided_shield: bool,
+    estimator: String,
+    dt_s: Option<f64>,
+    after_collision: AfterCollision,
+    outcome: Outcome,
+    impacts: Vec<Impact>,
+    vehicles: Vec<VehicleSummary>,
+    interventions: Vec<Intervention>,
+}
+
 #[pymethods]
 impl Simulation {
+    /// Restores a pickled simulation.
+    #[new]
+    fn from_pickle(
+        scenario: PyRef<'_, PyScenario>,
+        controller: &str,
+        result: &str,
+        trace: Option<Py<PyTrace>>,
+    ) -> PyResult<Self> {
+        let parts: PickledResult = serde_json::from_str(result)
+            .map_err(|error| PyValueError::new_err(error.to_string()))?;
+        Ok(Self {
+            scenario: scenario.0.clone(),
+            controller: controller.into(),
+            is_deterministic: parts.is_deterministic,
+            has_two_sided_shield: parts.has_two_sided_shield,
+            estimator: parse_choice("estimator", &parts.estimator, &ESTIMATORS)?,
+            dt_s: parts.dt_s,
+            after_collision: parts.after_collision,
+            result: SimulationResult {
+                outcome: parts.outcome,
+                impacts: parts.impacts,
+                vehicles: parts.vehicles,
+                interventions: parts.interventions,
+                trace: None,
+            },
+            trace,
+        })
+    }
+
+    /// Returns the arguments of the constructor, for pickles. The controller is not needed any more.
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let result = self.result.clone();
+        let parts = PickledResult {
+            is_deterministic: self.is_deterministic,
+            has_two_sided_shield: self.has_two_sided_shield,
+            estimator: self.estimator.name().to_owned(),
+            dt_s: self.dt_s,
+            after_collision: self.after_collision,
+            outcome: result.outcome,
+            impacts: result.impacts,
+            vehicles: result.vehicles,
+            interventions: result.interventions,
+        };
+        let text = serde_json::to_string(&parts)
+            .map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let trace = self.trace.as_ref().map(|trace| trace.bind(py));
+        (self.scenario(), &*self.controller, text, trace).into_pyobject(py)
+    }
+
     #[getter]
     fn scenario(&self) -> PyScenario {
         PyScenario(self.scenario.clone())
@@ -165,12 +285,20 @@ impl Simulation {
     }
 
     #[getter]
-    fn contact<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+    fn collision<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.result
             .outcome
-            .contact()
-            .map(|contact| serialize_to_python(py, contact))
+            .collision()
+            .map(|collision| serialize_to_python(py, collision))
             .transpose()
+    }
+
+    /// Returns [`Self::collision`] by its name in releases up to 0.3.0.
+    #[getter]
+    fn contact<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let message = c"`contact` is now `collision`; releases after 0.5 will have no `contact`";
+        PyErr::warn(py, &py.get_type::<PyFutureWarning>(), message, 1)?;
+        self.collision(py)
     }
 
     #[getter]
@@ -200,17 +328,18 @@ impl Simulation {
     fn robustness(&self, py: Python<'_>, spec: &str) -> PyResult<f64> {
         let specification = Specification::parse(spec, &self.scenario)
             .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))?;
-        let judged_until_contact = self.options.after_contact != specification.after_contact();
-        if judged_until_contact && self.result.outcome.contact().is_some() {
+        let has_other_end = self.after_collision != specification.after_collision();
+        if has_other_end && self.result.outcome.collision().is_some() {
             let how = if specification.recording_level() == RecordingLevel::Trace {
                 "continue"
             } else {
                 "stop"
             };
-            let problem = format!("`{spec}` is evaluated on a run with after_contact=\"{how}\"");
+            let problem = format!("`{spec}` is evaluated on a run with after_collision=\"{how}\"");
             return Err(errors::exception(py, ExceptionClass::Formula, &problem));
         }
-        let run = Run::new(&self.scenario, self.options.clone())
+        let run = self
+            .run()
             .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))?;
         let mut simulated = self.result.clone();
         if specification.recording_level() == RecordingLevel::Trace {
@@ -235,6 +364,16 @@ impl Simulation {
         )
     }
 
+    /// Returns the output of `crumple simulate --format json`. Without a trace, it has no unnecessary braking.
+    #[getter]
+    fn data<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.with_report(py, |report| serialize_to_python(py, report))?
+    }
+
+    fn __str__(&self, py: Python<'_>) -> PyResult<String> {
+        self.with_report(py, |report| report.to_text())
+    }
+
     fn __repr__(&self) -> String {
         format!(
             "<crumple.Simulation {:?}, {}: {}>",
@@ -246,6 +385,37 @@ impl Simulation {
 }
 
 impl Simulation {
+    /// Returns a run of the scenario, for measures of the result, which do not ask the controller.
+    fn run(&self) -> Result<Run, RunError> {
+        let mut options = RunOptions::new(BuiltInController::FullThrottle(NoSettings::default()))
+            .with_estimator(self.estimator)
+            .with_after_collision(self.after_collision);
+        options.dt_s = self.dt_s;
+        Run::new(&self.scenario, options)
+    }
+
+    /// Calls a function with the report of the run.
+    fn with_report<T>(
+        &self,
+        py: Python<'_>,
+        read: impl FnOnce(&RunReport<'_>) -> T,
+    ) -> PyResult<T> {
+        let run = self
+            .run()
+            .map_err(|error| errors::exception(py, ExceptionClass::Run, &error))?;
+        let trace = self.trace.as_ref();
+        let result = SimulationResult {
+            trace: trace.map(|trace| trace.get().to_native(py)).transpose()?,
+            ..self.result.clone()
+        };
+        let controller = ReportedController {
+            name: &self.controller,
+            is_deterministic: self.is_deterministic,
+            has_two_sided_shield: self.has_two_sided_shield,
+        };
+        Ok(read(&RunReport::new(&run, controller, &result)))
+    }
+
     fn native_trace(&self, py: Python<'_>) -> PyResult<engine::Trace> {
         let missing = "the simulation kept no trace: simulate with trace=True";
         match &self.trace {
@@ -267,18 +437,19 @@ pub(crate) fn simulate(
     controller: &Bound<'_, PyAny>,
     estimator: &str,
     dt_s: Option<f64>,
-    after_contact: &str,
+    after_collision: &str,
     trace: bool,
+    threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Vec<Simulation>> {
     let stop = StopFlag::default();
     let controller = controller::resolve_controller(controller, &stop)?;
     let mut options = RunOptions::new(controller.source.clone())
         .with_estimator(parse_choice("estimator", estimator, &ESTIMATORS)?)
-        .with_after_contact(parse_choice(
-            "after_contact",
-            after_contact,
-            &AFTER_CONTACT,
+        .with_after_collision(parse_choice(
+            "after_collision",
+            after_collision,
+            &AFTER_COLLISION,
         )?);
     options.dt_s = dt_s;
     let scenarios: Vec<_> = scenarios
@@ -291,10 +462,15 @@ pub(crate) fn simulate(
     } else {
         RecordingLevel::Summary
     };
-    let results = run_interruptible(py, &stop, progress.as_ref(), |say| {
+    let results = run_interruptible(py, &stop, progress.as_ref(), threads, |say| {
         simulate_in_batches(&runs, level, say)
     })?;
     drop(runs);
+    let ReportedController {
+        is_deterministic,
+        has_two_sided_shield,
+        ..
+    } = ReportedController::from(&controller);
     let name: Arc<str> = controller.name.into();
     scenarios
         .into_iter()
@@ -308,7 +484,11 @@ pub(crate) fn simulate(
             Ok(Simulation {
                 scenario,
                 controller: Arc::clone(&name),
-                options: options.clone(),
+                is_deterministic,
+                has_two_sided_shield,
+                estimator: options.estimator,
+                dt_s,
+                after_collision: options.after_collision,
                 result,
                 trace,
             })

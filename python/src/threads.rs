@@ -1,37 +1,82 @@
 //! Simulation threads.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::{process, thread};
 
-use pyo3::exceptions::PyRuntimeError;
+use crumple_core::threads::{MAX_THREADS, thread_count};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Returns the simulation threads of this process, and starts them at the first call: `RAYON_NUM_THREADS` of them.
-/// Release the interpreter's lock before passing work to them.
+/// Threads of a process.
+struct Pools {
+    process: u32,
+    by_count: BTreeMap<usize, Arc<ThreadPool>>,
+    /// Number of threads of calls that request none, once it is known. Finding it takes longer than a small call.
+    default_count: Option<usize>,
+}
+
+static POOLS: Mutex<Pools> = Mutex::new(Pools {
+    process: 0,
+    by_count: BTreeMap::new(),
+    default_count: None,
+});
+
+/// Returns the simulation threads of this process, and starts them at the first call: `requested` of them, or else as
+/// many as [`thread_count`] finds. Release the interpreter's lock before passing work to them.
 ///
 /// A forked process has none of its parent's threads and starts its own. Each thread keeps its interpreter state,
 /// because creating one takes longer than a small controller.
 ///
 /// # Errors
-/// `RuntimeError` if the system cannot start threads.
-pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
-    static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
-    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some((process, threads)) = &*pool
-        && *process == process::id()
-    {
+/// `ValueError` if the number is out of range, or the environment has a text instead; `RuntimeError` if the system
+/// cannot start threads.
+pub(crate) fn pool(requested: Option<usize>) -> PyResult<Arc<ThreadPool>> {
+    if requested.is_some_and(|count| !(1..=MAX_THREADS).contains(&count)) {
+        let problem = format!("threads: must be from 1 to {MAX_THREADS}");
+        return Err(PyValueError::new_err(problem));
+    }
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    if pools.process != process::id() {
+        // The pools of a parent process have no threads here, so dropping one would wait forever.
+        std::mem::forget(std::mem::take(&mut pools.by_count));
+        pools.process = process::id();
+        pools.default_count = None;
+    }
+    let count = match requested.or(pools.default_count) {
+        Some(count) => count,
+        None => {
+            let count = thread_count(None);
+            *pools
+                .default_count
+                .insert(count.map_err(|invalid| PyValueError::new_err(invalid.to_string()))?)
+        }
+    };
+    if let Some(threads) = pools.by_count.get(&count) {
         return Ok(Arc::clone(threads));
     }
-    let started = ThreadPoolBuilder::new()
+    let started = Arc::new(start(count)?);
+    pools.by_count.insert(count, Arc::clone(&started));
+    // The new threads need the interpreter's lock, for which another caller may wait for the pools.
+    drop(pools);
+    wait_for_all(&started);
+    Ok(started)
+}
+
+/// Waits until all threads have their interpreter state. A thread that creates it while the interpreter ends crashes
+/// the process, and a call can be done before the last thread has started.
+fn wait_for_all(threads: &ThreadPool) {
+    Python::attach(|py| py.detach(|| threads.broadcast(|_| ())));
+}
+
+fn start(count: usize) -> PyResult<ThreadPool> {
+    ThreadPoolBuilder::new()
+        .num_threads(count)
         .spawn_handler(|thread| {
             let run = move || Python::attach(|py| py.detach(|| thread.run()));
             thread::Builder::new().spawn(run).map(drop)
         })
         .build()
-        .map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))?;
-    let started = Arc::new(started);
-    // The pool of a parent process has no threads here, so dropping it would wait forever.
-    std::mem::forget(pool.replace((process::id(), Arc::clone(&started))));
-    Ok(started)
+        .map_err(|error| PyRuntimeError::new_err(format!("no threads to simulate: {error}")))
 }

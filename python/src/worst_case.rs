@@ -1,7 +1,9 @@
 //! Worst-case braking of the leader.
 
 use crumple_core::observer::RunProgress;
-use crumple_search::worst_case::{AttackObjective, AttackReport, Envelope, attack};
+use crumple_search::worst_case::{
+    AttackObjective, AttackReport, Envelope, MAX_SIMULATIONS, attack,
+};
 use crumple_sim::engine::RunOptions;
 use pyo3::prelude::*;
 
@@ -11,8 +13,6 @@ use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
-
-const MAX_SIMULATIONS: u32 = 10_000_000;
 
 /// Searches for a braking profile of the leader. Returns its scenario, and the report of `crumple worst-case` as data
 /// and as text.
@@ -30,6 +30,7 @@ pub(crate) fn worst_case<'py>(
     max_brake_mps2: Option<f64>,
     jerk_mps3: Option<f64>,
     budget: u32,
+    threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Option<PyScenario>, Bound<'py, PyAny>, String)> {
     if !(1..=MAX_SIMULATIONS).contains(&budget) {
@@ -51,7 +52,7 @@ pub(crate) fn worst_case<'py>(
         jerk_mps3: jerk_mps3.unwrap_or(typical.jerk_mps3),
     };
     let options = RunOptions::new(controller.source.clone()).with_estimator(estimator);
-    let result = run_interruptible(py, &stop, progress.as_ref(), |say| {
+    let result = run_interruptible(py, &stop, progress.as_ref(), threads, |say| {
         attack(
             &scenario,
             &options,

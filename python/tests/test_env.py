@@ -51,7 +51,7 @@ def test_a_vector_environment_equals_single_environments(mode, estimator):
         if mode == AutoresetMode.DISABLED and ended.any():
             options = {"reset_mask": ended}
             assert np.array_equal(several.reset(options=dict(options))[0], together.reset(options=options)[0])
-    assert {0, 1} <= endings, "no episode ended in contact"
+    assert {0, 1} <= endings, "no episode ended in collision"
 
 
 def test_invalid_actions_are_refused_before_a_step():

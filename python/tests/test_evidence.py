@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -101,7 +102,7 @@ def test_a_callable_has_a_worst_case():
     counts = []
     found = crumple.worst_case("paper-1", follower(None), budget=400, progress=lambda *state: counts.append(state[0]))
     assert found.found
-    assert found.replay().contact["impact_speed_mps"] == found.facts["outcome"]["impact_speed_mps"]
+    assert found.replay().collision["impact_speed_mps"] == found.facts["outcome"]["impact_speed_mps"]
     assert counts == sorted(counts)
     assert "</svg>" in found.plot().svg
     with pytest.raises(StopEarlyError):
@@ -148,17 +149,85 @@ def test_an_assessment_equals_that_of_the_command_line(tmp_path, crumple_binary)
     written = json.loads((folder / "assessment.json").read_text())
     assert written["provenance"].pop("run_info") is not None
     evidence = assessment.evidence
-    assert evidence["provenance"].pop("run_info") is None
+    assert evidence["provenance"].pop("run_info") is not None
     # Without a cache folder there are no hashes of cached evidence.
     assert evidence == written
     assert crumple.assess(path.read_text()).evidence["summary"] == written["summary"]
     assert (done.returncode == 0) == assessment.passed == all(gate["holds"] for gate in assessment.gates)
     page = crumple.write_report(assessment, tmp_path / "mine")
     names = {str(file.relative_to(tmp_path / "mine")) for file in (tmp_path / "mine").rglob("*") if file.is_file()}
-    assert names == set(assessment.files())
+    assert names == {*assessment.files(), "report.sha256"}
     assert page.read_text() == assessment.html()
-    with pytest.raises(crumple.AssessmentError, match="new or empty"):
+    # The same call repairs an incomplete report, and replaces no file that a person changed.
+    (tmp_path / "mine" / "work.json").unlink()
+    assert crumple.write_report(assessment, tmp_path / "mine") == page
+    assert (tmp_path / "mine" / "work.json").read_bytes() == assessment.files()["work.json"]
+    page.write_text("mine")
+    with pytest.raises(crumple.AssessmentError, match=r"assessment\.html: has changed, or crumple did not write it"):
         crumple.write_report(assessment, tmp_path / "mine")
+    assert page.read_text() == "mine"
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(crumple.AssessmentError, match="file: is not a folder"):
+        crumple.write_report(assessment, tmp_path / "file")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="limits the size of files as Linux does")
+def test_a_report_on_a_full_disk_changes_no_file(tmp_path):
+    script = """
+import pathlib, resource, signal, sys
+import crumple
+from test_evidence import SMALL
+
+assessment = crumple.assess(SMALL)
+crumple.write_report(assessment, sys.argv[1])
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, resource.RLIM_INFINITY))
+try:
+    crumple.write_report(assessment, sys.argv[2])
+except crumple.AssessmentError as error:
+    print(error)
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+print([path for path in pathlib.Path(sys.argv[2]).rglob("*") if path.is_file()])
+crumple.write_report(assessment, sys.argv[2])
+"""
+    folders = [tmp_path / "whole", tmp_path / "full"]
+    arguments = [sys.executable, "-c", script, *map(str, folders)]
+    done = subprocess.run(arguments, check=True, capture_output=True, text=True, cwd=Path(__file__).parent)
+    error, left = done.stdout.splitlines()
+    assert "File too large" in error or "file too large" in error
+    assert left == "[]"
+    files = [{file.relative_to(folder) for file in folder.rglob("*")} for folder in folders]
+    assert files[0] == files[1]
+
+
+def without_run_info(assessment):
+    evidence = assessment.evidence
+    assert evidence["provenance"].pop("run_info") is not None
+    return evidence
+
+
+def test_the_driver_of_a_suite_brakes_after_the_warning_of_a_callable(tmp_path):
+    suite = tmp_path / "own.toml"
+    parameters = {"own_speed": 20.0, "closing_time": 8.0, "manual_deceleration": 6.0, "manual_delay": 0.5}
+    units = {"own_speed": "m/s", "manual_deceleration": "m/s2"}
+    suite.write_text(
+        'version = 1\nname = "own"\nabout = "A"\ndocument = "D"\nedition = "E"\nparameter_source = "S"\n'
+        '[[clauses]]\nclause = "1"\nsummary = "S"\n[[clauses.tests]]\nname = "stands"\nlead = "stopped"\n'
+        + "".join(
+            f'parameters.{name} = {{ values = [{value}], unit = "{units.get(name, "s")}", origin = "chosen" }}\n'
+            for name, value in (parameters | {"warning_closing_time": 0.1}).items()
+        )
+    )
+    config = SMALL | {"suites": [{"suite": str(suite)}], "search": {"spaces": []}}
+    outcomes = {}
+    for name, warns_at_m in [("early", 100.0), ("late", 10.0)]:
+        warner = crumple.Controller(
+            lambda seen, at_m=warns_at_m: (0.0, seen.gap_ahead_m < at_m), name=name, identity=name, warns=True
+        )
+        tests = crumple.assess(config, [warner]).evidence["suites"]["suites"][0]["tests"]
+        outcomes[name] = tests[0]["outcomes"][-1]
+    assert [outcome["passed"] for outcome in outcomes.values()] == [True, False]
+    assert {outcome["warning"] for outcome in outcomes.values()} == {"warning: reported by the controller"}
 
 
 def test_a_callable_is_assessed_and_displayed(tmp_path):
@@ -180,11 +249,12 @@ def test_a_callable_is_assessed_and_displayed(tmp_path):
     again = crumple.Controller(
         counting_controller, batch=True, interval_s=0.1, name="mine", identity="follow, version 1"
     )
-    assert crumple.assess(SMALL, [again], evidence=cache).evidence == one.evidence
+    assert without_run_info(crumple.assess(SMALL, [again], evidence=cache)) == without_run_info(one)
     assert crumple.assess(SMALL, [follower(None)]).evidence["summary"]["gates"] == []
     with pytest.raises(StopEarlyError):
         crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut", progress=stop_after_share(0.0))
-    assert crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut").evidence == one.evidence
+    resumed = crumple.assess(SMALL, [follower()], evidence=tmp_path / "cut")
+    assert without_run_info(resumed) == without_run_info(one)
 
 
 def test_errors_of_an_assessment_are_explained(tmp_path):

@@ -66,7 +66,7 @@ def test_a_model_drives_alike_in_crumple_and_python():
             difference = one.trace.vehicles[1].position_m - other.trace.vehicles[1].position_m
             assert np.abs(difference).max() < 1e-3
         else:
-            assert abs(one.contact["time_s"] - other.contact["time_s"]) < 0.01
+            assert abs(one.collision["time_s"] - other.collision["time_s"]) < 0.01
 
 
 def test_the_adapter_returns_the_results_of_the_environment():

@@ -134,7 +134,7 @@ def test_a_replayed_failure_has_the_recorded_robustness():
 
 def test_robustness_equals_that_of_the_command_line(command_line_json):
     text = "always v1.time_gap_s > 0.3"
-    run = crumple.simulate("paper-1", "idm", after_contact="continue")
+    run = crumple.simulate("paper-1", "idm", after_collision="continue")
     printed = command_line_json("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no collision")
     assert run.robustness(text) == printed["specifications"][0]["robustness"]
     stopped = crumple.simulate("paper-1", "idm")

@@ -1,6 +1,8 @@
 """Tests of figures, images of episodes, and tables."""
 
 import csv
+import struct
+import sys
 import xml.etree.ElementTree as ElementTree
 
 import gymnasium
@@ -22,10 +24,31 @@ def test_failures_and_runs_are_drawn(tmp_path):
     assert run.plot("stacked").svg != figure.svg
     with pytest.raises(ValueError, match="layout"):
         run.plot("round")
-    with pytest.raises(ValueError, match="svg"):
-        figure.save(tmp_path / "run.png")
+    with pytest.raises(ValueError, match=r"saved as \.svg, \.pdf or \.png"):
+        figure.save(tmp_path / "run.jpg")
     with pytest.raises(crumple.RunError, match="trace=True"):
         crumple.simulate("paper-1", trace=False).plot()
+
+
+def test_a_figure_is_saved_as_pdf_and_png(tmp_path):
+    pytest.importorskip("vl_convert")
+    figure = crumple.simulate("paper-1").plot()
+    for name, magic in (("run.pdf", b"%PDF-"), ("run.png", b"\x89PNG\r\n")):
+        figure.save(tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
+    # A PNG has two pixels per unit: width and height follow the chunk's name.
+    root = ElementTree.fromstring(figure.svg.encode())
+    pixels = struct.unpack(">II", (tmp_path / "run.png").read_bytes()[16:24])
+    assert pixels == tuple(round(2 * float(root.get(side))) for side in ("width", "height"))
+    with pytest.raises(ValueError, match="cannot be converted"):
+        crumple.Figure("no figure").save(tmp_path / "bad.pdf")
+    assert not (tmp_path / "bad.pdf").exists()
+
+
+def test_a_missing_converter_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "vl_convert", None)
+    with pytest.raises(ImportError, match=r"pip install .crumple\[figures\]"):
+        crumple.simulate("paper-1").plot().save(tmp_path / "run.pdf")
 
 
 def test_a_figure_equals_that_of_the_command_line(tmp_path, command_line_json):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,7 +38,8 @@ def test_results_are_bit_identical_to_the_command_line(tmp_path, crumple_binary,
     arguments = ["simulate", *(str(tmp_path / f"{index}.toml") for index in range(3)), "--controller", controller]
     arguments += ["--estimator", estimator, "--format", "json", "--trace", str(tmp_path / "trace.csv")]
     printed = subprocess.run([crumple_binary, *arguments], check=True, capture_output=True, text=True).stdout
-    lines = [json.loads(line) for line in printed.splitlines()]
+    *lines, total = (json.loads(line) for line in printed.splitlines())
+    assert total["total"]["scenarios"] == len(scenarios)
     done = crumple.simulate(scenarios, controller, estimator)
     for expected, one in zip(lines, done, strict=True):
         assert expected["vehicles"] == one.vehicles
@@ -221,8 +223,8 @@ def test_a_batch_campaign_replays_failures_and_resumes(tmp_path):
     assert found.failures
     for failure in found.failures:
         again = failure.replay()
-        assert again.contact is not None
-        assert again.contact["impact_speed_mps"] == failure.facts["impact_speed_mps"]
+        assert again.collision is not None
+        assert again.collision["impact_speed_mps"] == failure.facts["impact_speed_mps"]
     resumed = crumple.falsify(mine, budget=60, folder=tmp_path / "campaign", resume=True)
     assert resumed.summary == found.summary
     alone = crumple.Controller(follow, interval_s=0.1)
@@ -257,3 +259,14 @@ def test_a_scenario_starts_no_program_without_permission(tmp_path):
         crumple.simulate(scenario)
     assert caught.value.field == "vehicles[2].driver.file.path"
     assert not (tmp_path / "started").exists()
+
+
+def test_names_of_earlier_releases_work_and_warn(tmp_path):
+    with pytest.warns(FutureWarning, match="after_collision"):
+        run = crumple.simulate("paper-1", "idm", after_contact="continue")
+    assert run.outcome == crumple.simulate("paper-1", "idm", after_collision="continue").outcome
+    with pytest.warns(FutureWarning, match="`collision`"):
+        assert run.contact == run.collision
+    old_space = Path(__file__).parents[2] / "corpora/versions/0.3.0/space.toml"
+    with pytest.warns(FutureWarning, match="braking_clusters"):
+        crumple.Space.find(str(old_space))

@@ -1,5 +1,7 @@
 //! `crumple check`: accepts or rejects certificates by the checker alone, and repeats counted runs on request.
 
+mod pool;
+
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -34,15 +36,25 @@ certificate or cannot be checked. An error in one certificate does not prevent t
 The checker cannot confirm the counts of a rate or a comparison. --rerun simulates them again, either all or a share \
 of the blocks. The selection is random by default, so that the author of a certificate cannot predict it.
 
+--pool derives one rate from the certificates of `verify rate` with several seeds. They must have the same \
+controller, space, estimator, number of runs, confidence level and release, and the seeds must form a range without \
+gaps. All certificates of a range that was fixed beforehand must \
+be given, because a seed that is left out could hide failures. Exit code 1 if a certificate or the pool is refused. \
+A pool has at most 10 000 certificates, and 1 000 000 000 runs.
+
 Examples:
   crumple avoid paper-1 --certificate paper-1.json
   crumple check paper-1.json --scenario paper-1
   crumple check crumple-rate/certificate.json --rerun
-  crumple check crumple-rate/certificate.json --rerun=10")]
+  crumple check crumple-rate/certificate.json --rerun=10
+  crumple check --pool rate-*/certificate.json --rerun=1")]
 pub(super) struct Check {
     /// Certificates
     #[arg(required = true, value_name = "CERTIFICATE")]
     certificates: Vec<PathBuf>,
+    /// Derive one failure rate from the certificates of several seeds
+    #[arg(long, conflicts_with_all = ["scenario", "policy"])]
+    pool: bool,
     /// Also check that the certificates are about this scenario
     #[arg(long, value_name = "S")]
     scenario: Option<PathBuf>,
@@ -79,6 +91,9 @@ fn parse_percent(text: &str) -> Result<f64, String> {
 
 impl Check {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        if self.pool {
+            return self.run_pool(global);
+        }
         let GlobalOptions { quiet, controllers } = global;
         let scenario = self
             .scenario
@@ -108,12 +123,12 @@ impl Check {
             }
         }
         let printed = output::print_coloured(self.format, &self.render(&all, &others)?);
-        let gate = match refusal_message(&all) {
-            Some(refusal) => Err(CliError::Gate(refusal)),
+        let verdict = match refusal_message(&all) {
+            Some(refusal) => Err(CliError::Unmet(refusal)),
             None => others.pop().map_or(Ok(()), |(_, failure)| Err(failure)),
         };
         others.iter().for_each(|(_, failure)| failure.print());
-        CliError::gate_first(gate, printed)
+        CliError::verdict_first(verdict, printed)
     }
 
     fn render(
@@ -172,6 +187,19 @@ impl Check {
     ) -> Result<CountsStatus, CliError> {
         let rerun = Rerun::new(certificate, &self.controller, global.controllers)
             .map_err(|error| CliError::at(path, error))?;
+        self.confirm(&rerun, percent, global.quiet, |error| {
+            CliError::at(path, error)
+        })
+    }
+
+    /// Repeats runs, and compares them with the stated counts.
+    fn confirm(
+        &self,
+        rerun: &Rerun,
+        percent: f64,
+        quiet: bool,
+        describe: impl FnOnce(RerunError) -> CliError,
+    ) -> Result<CountsStatus, CliError> {
         let seed = match self.rerun_seed {
             Some(seed) => seed,
             // A random seed was unknown when the certificate was made.
@@ -184,7 +212,7 @@ impl Check {
         } else {
             BlockSelection::All
         };
-        let bar = progress::run_bar("repeating runs", rerun.run_count(sample), global.quiet);
+        let bar = progress::run_bar("repeating runs", rerun.run_count(sample), quiet);
         let counted = progress::show(&bar, |observer| rerun.confirm(sample, observer));
         match counted {
             Ok(confirmation) => Ok(CountsStatus::Confirmed {
@@ -194,7 +222,7 @@ impl Check {
             Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted {
                 reason: refuted.to_string(),
             }),
-            Err(error) => Err(CliError::at(path, error)),
+            Err(error) => Err(describe(error)),
         }
     }
 

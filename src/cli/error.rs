@@ -14,19 +14,23 @@ use crumple_evidence::rare::RareError;
 use crumple_exchange::recording::RecordingError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::tune::TuneError;
-use crumple_report::assessment::{AssessConfigError, AssessError, CacheError};
+use crumple_report::assessment::{AssessConfigError, AssessError, CacheError, ReportFolderError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_sim::engine::{RefusedController, RunError};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_store::disk::DiskError;
+use crumple_store::output_folder::OutputError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_suites::SuiteError;
 
 #[derive(Debug, thiserror::Error)]
 pub(super) enum CliError {
-    /// A gate did not hold: exit code 1.
+    /// A gate of an assessment did not hold: exit code 1.
     #[error("{}", shorten_message(.0))]
     Gate(String),
+    /// The result is not the expected or the required one: exit code 1.
+    #[error("{}", shorten_message(.0))]
+    Unmet(String),
     /// The input holds nothing to work with: exit code 1.
     #[error("{}", shorten_message(.0))]
     NothingFound(String),
@@ -118,18 +122,18 @@ impl CliError {
         Self::Input(format!("{}: {problem}", path.display()))
     }
 
-    /// Returns the error of the gate if there is one, otherwise that of printing the results.
-    pub(super) fn gate_first(
-        gate: Result<(), Self>,
+    /// Returns the error of the verdict if there is one, otherwise that of printing the results.
+    pub(super) fn verdict_first(
+        verdict: Result<(), Self>,
         printed: Result<(), Self>,
     ) -> Result<(), Self> {
-        gate.and(printed)
+        verdict.and(printed)
     }
 
     #[must_use]
     pub(super) fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Gate(_) | Self::NothingFound(_) => ExitCode::from(1),
+            Self::Gate(_) | Self::Unmet(_) | Self::NothingFound(_) => ExitCode::from(1),
             Self::Input(message) if states_disk_failure(message) => ExitCode::from(3),
             Self::Input(_) => ExitCode::from(2),
             Self::Environment(_) => ExitCode::from(3),
@@ -138,10 +142,10 @@ impl CliError {
 
     /// Prints the error to standard error, in one line, so that quoted file content cannot imitate further messages.
     pub(super) fn print(&self) {
-        let kind = if let Self::Gate(_) = self {
-            "gate"
-        } else {
-            "error"
+        let kind = match self {
+            Self::Gate(_) => "gate",
+            Self::Unmet(_) => "failed",
+            Self::NothingFound(_) | Self::Input(_) | Self::Environment(_) => "error",
         };
         output::note(&format!("{kind}: {self}"), false);
     }
@@ -165,9 +169,7 @@ impl From<DiskError> for CliError {
 impl From<InvalidRate> for CliError {
     fn from(error: InvalidRate) -> Self {
         match error {
-            InvalidRate::Runs { .. } | InvalidRate::Confidence { .. } => {
-                Self::Input(format!("--{error}"))
-            }
+            InvalidRate::OutOfRange(field) => Self::Input(format!("--{field}")),
             other => Self::input(other),
         }
     }
@@ -228,5 +230,7 @@ from_errors! {
     CacheError { Disk }
     SuiteError { File }
     RunFolderError { Disk }
+    OutputError { Disk, Listing }
+    ReportFolderError { Output }
     TuneError { Disk, RunFolder }
 }

@@ -18,7 +18,7 @@ use crumple_sim::observation::EstimatorKind;
 #[command(after_long_help = "\
 Prints an address for the browser of this machine and serves it until Ctrl-C, only on 127.0.0.1 and only to requests \
 with the token in that address. The page loads nothing from other servers. A request may have 1 MiB and 400 000 \
-vehicles times steps over its controllers; the page shows the first 200 000 evaluations of a campaign.
+vehicle steps (summed over its controllers); the page shows the first 200 000 evaluations of a campaign.
 
 Examples:
   crumple explore

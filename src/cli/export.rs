@@ -6,7 +6,6 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::global_options::GlobalOptions;
-use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, output, value_enums};
@@ -18,6 +17,7 @@ use crumple_sim::control::{BuiltInController, IntoSource};
 use crumple_sim::engine::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
+use crumple_store::output_folder::{EarlierFiles, OutputFolder};
 
 /// Write scenarios for other simulators: OpenSCENARIO XML 1.2 on an OpenDRIVE road
 #[derive(Args)]
@@ -223,7 +223,7 @@ impl Export {
         );
         let options = RunOptions::new(controller)
             .with_estimator(driven.map_or_else(EstimatorKind::default, |driven| driven.estimator))
-            .with_after_contact(self.after_collision.behaviour);
+            .with_after_collision(self.after_collision.behaviour);
         let run = Run::new(scenario, options).map_err(|error| scenario_error(name, error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {
@@ -286,8 +286,8 @@ fn recorded_controller(
     })
 }
 
-/// Returns a file name for a scenario's name.
-pub(super) fn file_stem(name: &str) -> String {
+/// Returns a scenario's name with a hyphen in place of each character that a file name should not have.
+pub(super) fn plain_file_name(name: &str) -> String {
     name.chars()
         .map(|c| {
             if c.is_alphanumeric() || "-_.".contains(c) {
@@ -296,6 +296,10 @@ pub(super) fn file_stem(name: &str) -> String {
                 '-'
             }
         })
-        .take(60)
         .collect()
+}
+
+/// Returns a file name of at most 60 characters for a scenario's name.
+pub(super) fn file_stem(name: &str) -> String {
+    plain_file_name(name).chars().take(60).collect()
 }

@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 
+use super::drives::DriveCommand;
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, progress, study, value_enums};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
-use crumple_evidence::{MAX_SEEDS, MethodComparison};
+use crumple_evidence::{DriveSearch, MAX_SEEDS, MethodComparison};
 use crumple_measure::Specification;
 use crumple_search::falsify::campaign::{
     Campaign, CampaignProgress, CampaignReport, CampaignSummary, EvaluationLog, MAX_BUDGET,
@@ -37,8 +38,8 @@ file among its results, and names the file. This does not protect against a pers
 failure, and compares all pairs of methods on the same seeds by exact tests (McNemar and sign test, with the \
 correction of Holm).
 
-Named specifications for --spec are `no braking without cause` (how much harder than a reference driver the vehicle \
-may brake), `imposed braking at most 4 m/s2` (of the follower) and `no amplification` (the vehicle's largest change \
+Named specifications for --spec are `no braking without cause` (no unnecessary braking, see docs/glossary.md), \
+`imposed braking at most 4 m/s2` (the follower brakes no harder) and `no amplification` (the vehicle's largest change \
 of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against a failure \
 has two runs. Its robustness is max(r, -r of the other run): negative if only the first run fails.
 
@@ -48,6 +49,10 @@ file 3 MiB. docs/stl.md lists all signals, operators and their precedence. An ev
 bytes of disk, or with --log summary 40 bytes until the campaign ends; memory does not grow with the budget. A \
 million evaluations need 360 MB, and in the space `paper` about six minutes on two cores.
 
+With --drives the domain is a folder of recorded drives, of which the controller drives each once: there is no search, \
+no shrinking and no replay. The folder of --out receives the failed drives, the severest first (`counterexamples/`), \
+and `drives.json`. A collision from behind with a vehicle that repeats recorded speeds is no failure.
+
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
   crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 \\
@@ -56,6 +61,8 @@ Examples:
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
   crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
   crumple falsify --controller idm --compare auto,cma-es,uniform --seeds 30 --budget 500
+  crumple falsify --controller road --drives drives --spec 'no braking without cause' \\
+    --out runs/drives
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline \\
     --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm \\
@@ -69,6 +76,13 @@ pub(super) struct Falsify {
     /// Scenario space to search: built-in (see `crumple list spaces`) or a file
     #[arg(long, value_name = "S", default_value = "high-risk")]
     space: String,
+    /// Search the recorded drives of a folder (see `crumple import --whole`) instead of a space: each drive once
+    #[arg(
+        long,
+        value_name = "FOLDER",
+        conflicts_with_all = ["space", "method", "aim", "budget", "seed", "against", "compare", "log", "resume"]
+    )]
+    drives: Option<PathBuf>,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
@@ -109,7 +123,7 @@ pub(super) struct Falsify {
     /// Detail of the log of evaluations
     #[arg(long, value_name = "L", default_value = "full", value_parser = value_enums::one_of(value_enums::LOGS))]
     log: EvaluationLog,
-    /// Make the search a gate: exit code 1 if the result differs from this expectation
+    /// Expected result: exit code 1 if the search ends with the other one
     #[arg(long, value_enum, value_name = "E")]
     expect: Option<SearchExpectation>,
     /// Folder of the campaign, created if missing
@@ -141,7 +155,7 @@ impl SearchExpectation {
             .map(|method| method.evaluations)
             .sum();
         match (self, summary.falsified) {
-            (Self::Failure, false) => Err(CliError::Gate(format!(
+            (Self::Failure, false) => Err(CliError::Unmet(format!(
                 "expected a failure, but found none in {evaluations} evaluations"
             ))),
             (Self::Nothing, true) => {
@@ -151,7 +165,7 @@ impl SearchExpectation {
                 } else {
                     &format!("{kinds} distinct failures")
                 };
-                Err(CliError::Gate(format!(
+                Err(CliError::Unmet(format!(
                     "expected no failure, but found {failures} in {evaluations} evaluations"
                 )))
             }
@@ -162,7 +176,7 @@ impl SearchExpectation {
                     .iter()
                     .find_map(|method| method.second_missing_answers.as_ref())
                 {
-                    Some(unanswered) => Err(CliError::Gate(format!(
+                    Some(unanswered) => Err(CliError::Unmet(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \
                          no answer: {}",
                         unanswered.reason
@@ -197,6 +211,9 @@ impl Falsify {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
         self.check_options_of_comparison()?;
+        if let Some(folder) = &self.drives {
+            return self.search_drives(folder, global);
+        }
         let space = load_space(&self.space, controllers)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
@@ -238,7 +255,40 @@ impl Falsify {
         let expected = self
             .expect
             .map_or(Ok(()), |expected| expected.check(&summary));
-        CliError::gate_first(expected, print_summary(&summary, self.format))
+        CliError::verdict_first(expected, print_summary(&summary, self.format))
+    }
+}
+
+impl Falsify {
+    /// Lets the controller drive each recorded drive once.
+    fn search_drives(&self, folder: &Path, global: GlobalOptions) -> Result<(), CliError> {
+        let command = DriveCommand {
+            folder,
+            controller: self.controller.clone(),
+            estimator: self.estimator,
+            format: self.format,
+            quiet: global.quiet,
+        };
+        let report = command.search(global.controllers, &self.spec, &self.out)?;
+        let expected = self
+            .expect
+            .map_or(Ok(()), |expected| check_drives(expected, &report));
+        let printed = output::print_result(self.format, &report, || report.to_text());
+        CliError::verdict_first(expected, printed)
+    }
+}
+
+/// Checks the expectation of failures on drives.
+fn check_drives(expected: SearchExpectation, report: &DriveSearch) -> Result<(), CliError> {
+    let drives = report.counts.comfort.drives;
+    match (expected, report.failures.len()) {
+        (SearchExpectation::Failure, 0) => Err(CliError::Unmet(format!(
+            "expected a failure, but found none on {drives} drives"
+        ))),
+        (SearchExpectation::Nothing, failures) if failures > 0 => Err(CliError::Unmet(format!(
+            "expected no failure, but {failures} of {drives} drives fail"
+        ))),
+        _ => Ok(()),
     }
 }
 
@@ -282,20 +332,6 @@ fn note_files(summary: &CampaignSummary, log: EvaluationLog, out: &Path, quiet: 
     );
 }
 
-fn check_distinct(methods: &[Method]) -> Result<(), CliError> {
-    match methods
-        .iter()
-        .enumerate()
-        .find(|(index, method)| methods[..*index].contains(method))
-    {
-        Some((_, method)) => Err(CliError::Input(format!(
-            "--compare: {} is given twice",
-            method.name()
-        ))),
-        None => Ok(()),
-    }
-}
-
 /// Compares methods and prints the result.
 fn compare(
     campaign: &Campaign,
@@ -305,7 +341,6 @@ fn compare(
     format: OutputFormat,
     quiet: bool,
 ) -> Result<(), CliError> {
-    check_distinct(methods)?;
     let total = campaign
         .search
         .budget

@@ -1,9 +1,12 @@
 //! Optional features, which are selected when the program is compiled.
 
+use std::path::Path;
+
 use serde::Serialize;
 
 use super::CliError;
 use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
+use crumple_measure::LevelMeasures;
 use crumple_report::draw::{PNG_SCALE, Svg, WRITES_PNG};
 use crumple_report::export::{WRITES_PARQUET, to_parquet};
 use crumple_sim::engine::Trace;
@@ -77,11 +80,18 @@ pub(super) fn require_format(extension: &str) -> Result<(), String> {
     }
 }
 
-/// Renders a figure as PNG.
+/// Encodes a figure in the format of the file's extension.
 ///
 /// # Errors
 /// [`CliError::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
-pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
+pub(super) fn encode_figure(path: &Path, figure: &Svg) -> Result<Vec<u8>, CliError> {
+    match path.extension() {
+        Some(png) if png == "png" => render_png(figure),
+        _ => Ok(figure.document().into_bytes()),
+    }
+}
+
+fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
     PNG.require().map_err(CliError::Input)?;
     figure.to_png(PNG_SCALE).map_err(CliError::input)
 }
@@ -90,9 +100,9 @@ pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
 ///
 /// # Errors
 /// [`CliError::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
-pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, CliError> {
+pub(super) fn encode_parquet(trace: &Trace, levels: &[LevelMeasures]) -> Result<Vec<u8>, CliError> {
     require_format("parquet").map_err(CliError::Input)?;
-    to_parquet(trace).map_err(CliError::input)
+    to_parquet(trace, levels).map_err(CliError::input)
 }
 
 #[cfg(test)]

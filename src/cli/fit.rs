@@ -1,26 +1,24 @@
 //! `crumple fit`: fits a scenario space to recorded episodes.
 
-use std::collections::BTreeMap;
-use std::fs::Metadata;
-use std::io::{self, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
-use super::import::{load_map, parse_min_brake, render_figure};
-use super::output_folder::stage_unless_edited;
+use super::import::{load_map, parse_min_brake};
+use super::output::stage_unless_edited;
 use super::output_format::OutputFormat;
 use super::progress::read_bar;
 use super::simulate::path_ending_in;
-use super::{CliError, args, output, value_enums};
-use crumple_core::regular_file;
+use super::{CliError, args, feature, output, value_enums};
 use crumple_evidence::fit::{
-    EpisodeCollector, EpisodeSample, ExtractionConfig, FitReport, FittedSpace, MAX_VEHICLES, fit,
+    EpisodeCollector, EpisodeSample, ExtractionConfig, FitError, FitOptions, FitReport,
+    FittedSpace, MAX_VEHICLES, fit,
 };
 use crumple_exchange::recording::map::RecordingMap;
-use crumple_exchange::recording::{LeaderSelection, load_parts, merge_dropped};
+use crumple_exchange::recording::{LeaderSelection, ensure_distinct, load_parts, merge_dropped};
 use crumple_report::figures;
+use crumple_sim::control::BuiltInController;
 use crumple_spaces::file;
 use crumple_store::disk::StagedFiles;
 
@@ -31,12 +29,11 @@ Reads the same recordings as `crumple import` and describes each braking episode
 initial speed, its mean deceleration over its hardest second, the share of its speed that it keeps, and for each \
 follower the speed relative to the leader and the time gap. Each parameter gets the most likely of five families \
 (uniform, normal, log-normal, gamma, Weibull), truncated to the values that a scenario may have. Leaders that stop \
-have a separate probability, as have lorries if the recordings state lengths. A Gaussian copula models the \
-dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. \
-Searches stay inside the region with 99.99 % of the fitted distribution (`search_share` in the file; without it, they \
-use the whole ranges). The file also states the \
-driving time and distance of the recordings, so that failures can be given per hour and per 1000 km, and the \
-parameters of the episodes, so that they can be resampled (docs/fitting.md).
+have a separate probability, and so do lorries if the recordings state lengths. A Gaussian copula models the \
+dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. Searches stay inside \
+the region with 99.99 % of the fitted distribution (`search_share` in the file; without it, they use the whole \
+ranges). The file also states the driving time and distance of the recordings, so that failures can be given per hour \
+and per 1000 km, and the parameters of the episodes, so that they can be resampled (docs/fitting.md).
 
 The fit requires 4 episodes for each parameter: 20 with two vehicles, 8 more for each further vehicle, and 4 more \
 for each vehicle that is a car in some episodes and a lorry in others. At most 1000 recordings and 10 000 episodes.
@@ -58,11 +55,14 @@ pub(super) struct Fit {
     /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true, value_parser = args::number)]
     min_brake: Option<f64>,
-    /// Vehicles of a scenario, including the leader: 2 to 5. Episodes with fewer are ignored; of more, the first ones
-    /// count
+    /// Vehicles of a scenario, including the leader: 2 to 5. The fit ignores episodes with fewer vehicles; of longer
+    /// lines, it takes the first vehicles
     #[arg(long, value_name = "N", default_value_t = 2)]
     #[arg(value_parser = args::whole_number::<u8>(2..=MAX_VEHICLES as u64))]
     vehicles: u8,
+    /// Driver of the last of three or more vehicles: a built-in controller or the model of a car, with its settings
+    #[arg(long, value_name = "DRIVER", default_value = "baseline", value_parser = parse_follower)]
+    follower: BuiltInController,
     /// Name of the scenario space: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]
     name: String,
@@ -86,54 +86,18 @@ pub(super) struct Fit {
     format: OutputFormat,
 }
 
+fn parse_follower(text: &str) -> Result<BuiltInController, String> {
+    match BuiltInController::parse(text) {
+        Some(controller) => controller.map_err(|error| error.to_string()),
+        None => Err("is no built-in controller (see `crumple list controllers`)".to_owned()),
+    }
+}
+
 fn space_path() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|path| match path.extension() {
         Some(extension) if extension == "toml" => Ok(path),
         _ => Err("must end in .toml"),
     })
-}
-
-/// Refuses recordings with the content of another one, which would count episodes and hours twice and understate the
-/// uncertainty.
-pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
-    let mut by_length: BTreeMap<u64, Vec<&PathBuf>> = BTreeMap::new();
-    for path in recordings {
-        // A pipe has no content yet.
-        let Some(length) = path
-            .metadata()
-            .ok()
-            .filter(Metadata::is_file)
-            .map(|file| file.len())
-        else {
-            continue;
-        };
-        let same_length = by_length.entry(length).or_default();
-        if let Some(other) = same_length
-            .iter()
-            .find(|other| have_same_content(path, other).unwrap_or(false))
-        {
-            return Err(CliError::at(
-                path,
-                format!(
-                    "this recording is given twice: {} is equal",
-                    other.display()
-                ),
-            ));
-        }
-        same_length.push(path);
-    }
-    Ok(())
-}
-
-fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    Ok(read_bytes(a)?.eq(read_bytes(b)?))
-}
-
-/// Yields the bytes of a file, up to the first that cannot be read.
-fn read_bytes(path: &Path) -> io::Result<impl Iterator<Item = u8>> {
-    Ok(BufReader::new(regular_file::open(path)?)
-        .bytes()
-        .map_while(Result::ok))
 }
 
 impl Fit {
@@ -146,7 +110,13 @@ impl Fit {
         };
         ensure_distinct(&self.recordings)?;
         let sample = self.collect_episodes(map.as_ref(), extraction, quiet)?;
-        let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
+        let options = FitOptions {
+            name: self.name.clone(),
+            follower: self.follower.clone(),
+            samples: self.samples,
+            seed: self.seed,
+        };
+        let fitted = fit(&sample, &options).map_err(CliError::input)?;
         self.write_files(&fitted)?;
         let report = FitReport::new(&sample, &fitted);
         let object = report.to_json().map_err(CliError::input)?;
@@ -159,7 +129,10 @@ impl Fit {
         extraction: ExtractionConfig,
         quiet: bool,
     ) -> Result<EpisodeSample, CliError> {
-        let mut collector = EpisodeCollector::new(extraction).map_err(CliError::input)?;
+        let mut collector = EpisodeCollector::new(extraction).map_err(|error| match error {
+            FitError::MinBrake { .. } => CliError::about("--min-brake", error),
+            other => CliError::input(other),
+        })?;
         for path in &self.recordings {
             let (bar, progress) = read_bar(quiet);
             let mut dropped = Vec::new();
@@ -188,7 +161,7 @@ impl Fit {
             stage_unless_edited(
                 &mut files,
                 path,
-                &render_figure(&figures::draw_fit(fitted), path)?,
+                &feature::encode_figure(path, &figures::draw_fit(fitted))?,
                 self.force,
             )?;
         }

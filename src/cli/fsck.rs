@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::assess::{EVIDENCE_FOLDER, LISTING_FILE};
 use super::output_format::OutputFormat;
 use super::{CliError, output};
-use crumple_report::assessment::REPORT_KIND;
+use crumple_report::assessment::{EVIDENCE_FOLDER, LISTING_FILE, REPORT_KIND};
 use crumple_search::falsify::campaign::verify_journal;
 use crumple_store::run_folder::{FolderReport, examine, is_run_folder};
 
@@ -23,7 +22,8 @@ Damaged work cannot be resumed; start again with a new --out. The same seed give
 
 `fsck` names files that do not belong to the results and leaves them unchanged, as it does `training.json` and the \
 learning curves of a folder of trainings, which every `train` writes again. A report of `crumple assess` has a \
-`work.json`, too; `assess` checks the evidence in the folder `evidence` when it reuses it.
+`work.json`, too; `assess` checks the evidence in the folder `evidence` when it reuses it. To write a \
+damaged report again, move changed files away and run the same command again.
 The exit code is 1 if a file is damaged.
 
 `fsck` detects files that were truncated, edited, moved or lost. It does not detect changes by a person who also \
@@ -57,14 +57,14 @@ impl Fsck {
         };
         let damaged = list_folders(&reports, FolderReport::is_damaged);
         let unreadable = list_folders(&reports, |report| report.error.is_some());
-        let gate = match (damaged.is_empty(), unreadable.is_empty()) {
+        let verdict = match (damaged.is_empty(), unreadable.is_empty()) {
             (true, _) => failures.into_iter().next().map_or(Ok(()), Err),
-            (false, true) => Err(CliError::Gate(format!("damaged: {damaged}"))),
-            (false, false) => Err(CliError::Gate(format!(
+            (false, true) => Err(CliError::Unmet(format!("damaged: {damaged}"))),
+            (false, false) => Err(CliError::Unmet(format!(
                 "damaged: {damaged}; unreadable: {unreadable}"
             ))),
         };
-        CliError::gate_first(gate, printed)
+        CliError::verdict_first(verdict, printed)
     }
 }
 
@@ -89,10 +89,17 @@ fn list_folders(reports: &[FolderReport], is_wanted: impl Fn(&FolderReport) -> b
     folders.join(", ")
 }
 
+const INCOMPLETE_REPORT: &str =
+    "an incomplete report without work.json: run the same command again";
+/// Advice about a damaged report. The command refuses to replace changed files, which may be a person's work.
+const REPORT_ADVICE: &str =
+    "to write the report again, move changed files away and run the same command again";
+
 fn examine_folder(folder: &Path) -> Result<FolderReport, CliError> {
     if !is_run_folder(folder) {
-        let is_there = fs::symlink_metadata(folder).is_ok();
-        let problem = if is_there {
+        let problem = if folder.join(LISTING_FILE).exists() {
+            INCOMPLETE_REPORT
+        } else if fs::symlink_metadata(folder).is_ok() {
             "not a result folder: it contains no work.json"
         } else {
             "there is no such folder"
@@ -100,13 +107,17 @@ fn examine_folder(folder: &Path) -> Result<FolderReport, CliError> {
         return Err(CliError::at(folder, problem));
     }
     let mut examination = verify_journal(folder, examine(folder)?)?;
-    if examination.kind == REPORT_KIND {
-        // Evidence and listing serve the next report and have separate hashes.
-        examination
-            .unrelated_files
-            .retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
+    if examination.kind != REPORT_KIND {
+        return Ok(FolderReport::new(folder, &examination));
     }
-    Ok(FolderReport::new(folder, &examination))
+    // Evidence and listing serve the next report and have separate hashes.
+    examination
+        .unrelated_files
+        .retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
+    Ok(FolderReport {
+        advice: REPORT_ADVICE,
+        ..FolderReport::new(folder, &examination)
+    })
 }
 
 /// Returns the run folders in a folder of trainings, one per seed; otherwise the folder itself.

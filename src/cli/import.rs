@@ -2,29 +2,34 @@
 
 use std::collections::HashSet;
 use std::ffi::OsStr;
+use std::fmt::Display;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::CliError;
-use super::fit::ensure_distinct;
+use super::global_options::GlobalOptions;
 use super::import_openscenario::{OpenScenarioArgs, is_openscenario};
-use super::output_folder::{OutputFolder, stage_unless_edited};
+use super::output::stage_unless_edited;
 use super::output_format::OutputFormat;
 use super::progress::read_bar;
 use super::{args, feature, output, simulate, value_enums};
+use crumple_controllers::Controllers;
 use crumple_exchange::recording::guess::guess;
 use crumple_exchange::recording::map::{BUILT_IN_MAPS, RecordingMap};
 use crumple_exchange::recording::{
-    ImportOptions, ImportReport, ImportResult, ImportedScenario, LeaderSelection, MinBrake,
-    RecordingSummary, TextFormat, hardest_braking, import, load_first_part, preview,
+    FollowerDriver, ImportOptions, ImportReport, ImportResult, ImportScope, ImportedScenario,
+    LeaderSelection, MinBrake, RecordingSummary, TextFormat, hardest_braking, import,
+    load_first_part, preview,
 };
-use crumple_report::draw::Svg;
 use crumple_report::figures;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::scenario::Driver;
 use crumple_store::disk::{DiskError, StagedFiles};
+use crumple_store::output_folder::OutputFolder;
 
-/// Turn recorded braking episodes, or OpenSCENARIO files, into scenario files
+/// Turn recordings (episodes or whole drives) or OpenSCENARIO files into scenarios
 #[derive(Args)]
 #[command(after_long_help = "\
 Reads two formats, which it distinguishes by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of \
@@ -34,8 +39,13 @@ For other formats, --map describes the columns, or names a built-in map. crumple
 feature `parquet`; ASAM MDF 4 files (also raw CAN frames, with a DBC file named in the map) need the feature `mdf`: \
 `cargo install --locked --path . --features mdf,parquet`. In a braking episode, a \
 vehicle's mean deceleration over one second exceeds --min-brake; that vehicle leads the scenario. \
-Those behind it start at the recorded gaps and speeds and are under test, except that the baseline drives the last of \
+Those behind it start at the recorded gaps and speeds and are under test, except that --follower drives the last of \
 three or more vehicles. Without any episode the exit code is 1, and the hardest braking found is printed.
+
+With --whole, each vehicle behind its leader makes a drive, from 30 s to an hour: the leader repeats its recorded \
+speeds, the vehicle under test starts at the recorded gap and speed, and --follower drives the next vehicle from its \
+recorded start. A drive ends where speeds or gaps are unknown. The file also contains the recorded gaps and speeds \
+of the vehicle under test, so that `crumple assess --drives` can compare.
 
 An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the vehicle under test. \
 --distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
@@ -44,13 +54,14 @@ and a million tags and attributes, 1000 entities, 2000 events, 10 000 conditions
 docs/exchange.md states the other limits.
 
 Recordings of any length need less than 500 MB of memory: crumple reads them in overlapping parts of about 500 000 \
-rows, and traffic through temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events or \
-vehicles. --preview reads the first part, --guess the first 100 000 rows. A map may have 64 KiB. An existing \
-scenario file stays as it is if it is equal; if it differs, nothing is written without --force.
+rows, and stores traffic in temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events or \
+vehicles. --preview reads the first part, --guess the first 100 000 rows. A map may have 64 KiB. An existing scenario \
+file stays as it is if it is equal; if it differs, nothing is written without --force.
 
 Examples:
   crumple import platoon.csv --out episodes
   crumple import 01_tracks.csv --map highd --preview 01.svg
+  crumple import platoon.csv --whole --follower idm --out drives
   crumple import log.csv --guess > log.toml
   crumple import log.csv --map log.toml --min-brake 2 --out episodes
   crumple import cut-in.xosc --ego Ego --distribution speeds.xosc --out cut-ins")]
@@ -69,12 +80,21 @@ pub(super) struct Import {
         conflicts_with_all = ["out", "leaders", "min_brake"]
     )]
     preview: Option<PathBuf>,
-    /// Print a draft of a map for one recording, by names, units and consistency of its columns; imports nothing
+    /// Print a draft of a map for one recording, from the names, units and consistency of its columns; imports nothing
     #[arg(long, conflicts_with_all = ["map", "preview", "out", "leaders", "min_brake"])]
     guess: bool,
-    /// Vehicles whose braking makes an episode
+    /// Vehicles that lead scenarios
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
+    /// Driver of the vehicle behind those under test, the last of three or more: human (with a reaction time that
+    /// differs in each scenario), idm, baseline (coasts until the time to collision is 1.4 s), recorded (its speeds; a
+    /// collision with it counts against no controller), none, or any built-in controller or file
+    #[arg(long, value_name = "NAME|FILE", default_value = "human")]
+    follower: PathBuf,
+    /// Write whole drives of at least 30 s instead of braking episodes: each vehicle behind its leader, with the next
+    /// vehicle behind it
+    #[arg(long, conflicts_with_all = ["preview", "guess", "min_brake"])]
+    whole: bool,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true, value_parser = args::number)]
     min_brake: Option<f64>,
@@ -105,6 +125,29 @@ pub(super) fn load_map(map: &Path) -> Result<RecordingMap, CliError> {
     Ok(built_in.unwrap_or_else(|| RecordingMap::load(map))?)
 }
 
+/// Returns the driver of a name, a built-in controller, or that in a file.
+fn load_follower(named: &Path, controllers: Controllers) -> Result<FollowerDriver, CliError> {
+    let unusable = |problem: &dyn Display| CliError::Input(format!("--follower: {problem}"));
+    if let Some(driver) = named.to_str().and_then(FollowerDriver::from_name) {
+        return Ok(driver);
+    }
+    if let Some(built_in) = named.to_str().and_then(BuiltInController::parse) {
+        let built_in = built_in.map_err(|error| unusable(&error))?;
+        return Ok(FollowerDriver::Controller(Box::new(Driver::Controller(
+            built_in,
+        ))));
+    }
+    if !named.is_file() {
+        let names = FollowerDriver::NAMES.join(", ");
+        let problem = format!(
+            "{} is neither a file, nor a built-in controller, nor one of {names}",
+            named.display()
+        );
+        return Err(unusable(&problem));
+    }
+    FollowerDriver::from_file(named, &controllers).map_err(|problem| unusable(&problem))
+}
+
 pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, CliError> {
     let Some(mps2) = asked_mps2 else {
         return Ok(MinBrake::default());
@@ -117,13 +160,6 @@ pub(super) fn note_text_format(path: &Path, text: &TextFormat, quiet: bool) {
     let text = text.to_string();
     if !text.is_empty() {
         output::note(&format!("{}: detected {text}", path.display()), quiet);
-    }
-}
-
-pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliError> {
-    match path.extension() {
-        Some(png) if png == "png" => feature::render_png(drawn),
-        _ => Ok(drawn.document().into_bytes()),
     }
 }
 
@@ -141,11 +177,12 @@ struct StagedImport {
 }
 
 impl Import {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
+        let quiet = global.quiet;
         if let Some(file) = self.recordings.iter().find(|path| is_openscenario(path)) {
             let is_alone =
                 self.recordings.len() == 1 && self.map.is_none() && self.preview.is_none();
-            if !is_alone || self.min_brake.is_some() || self.guess {
+            if !is_alone || self.min_brake.is_some() || self.guess || self.whole {
                 let problem = "give an OpenSCENARIO file alone, with --ego, --distribution, --out and --force only";
                 return Err(CliError::at(file, problem));
             }
@@ -158,7 +195,6 @@ impl Import {
                 "--ego and --distribution apply only to a file F.xosc".to_owned(),
             ));
         }
-        ensure_distinct(&self.recordings)?;
         if self.guess {
             return self.draft_map(quiet);
         }
@@ -166,7 +202,8 @@ impl Import {
         if let Some(picture) = &self.preview {
             return self.show_preview(picture, map.as_ref(), quiet);
         }
-        self.import(map.as_ref(), quiet)
+        let follower = load_follower(&self.follower, global.controllers)?;
+        self.import(map.as_ref(), follower, quiet)
     }
 
     /// Prints the map that fits a recording.
@@ -224,7 +261,8 @@ impl Import {
                 hardest_braking(&recording)
             )));
         };
-        let drawn = self::render_figure(&figures::draw_recording(&preview_text, &name), picture)?;
+        let drawn =
+            feature::encode_figure(picture, &figures::draw_recording(&preview_text, &name))?;
         let mut files = StagedFiles::default();
         stage_unless_edited(&mut files, picture, &drawn, self.force)?;
         files.commit()?;
@@ -235,13 +273,24 @@ impl Import {
         }
     }
 
-    fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
+    fn import(
+        &self,
+        map: Option<&RecordingMap>,
+        follower: FollowerDriver,
+        quiet: bool,
+    ) -> Result<(), CliError> {
         let min_brake = parse_min_brake(self.min_brake)?;
+        let options = ImportOptions {
+            min_brake,
+            leaders: self.leaders,
+            follower,
+            scope: self.scope(),
+        };
         let StagedImport {
             imported,
             files,
             names,
-        } = self.stage_scenarios(map, min_brake, quiet)?;
+        } = self.stage_scenarios(map, &options, quiet)?;
         let report = ImportReport::new(&imported, &self.out, &names);
         for source in &imported.sources {
             note_text_format(&source.path, &source.text, quiet);
@@ -252,8 +301,9 @@ impl Import {
                 OutputFormat::Json => output::print_json(&report),
                 OutputFormat::Text => Ok(()),
             };
-            let absence = CliError::NothingFound(report.describe_absence(min_brake));
-            return CliError::gate_first(Err(absence), printed);
+            let absence = report.describe_absence(self.scope(), min_brake);
+            let absence = CliError::NothingFound(absence);
+            return CliError::verdict_first(Err(absence), printed);
         }
         files.commit()?;
         let others = self.count_other_scenarios(&names)?;
@@ -268,11 +318,19 @@ impl Import {
         output::print_result(self.format, &report, || report.to_text())
     }
 
+    fn scope(&self) -> ImportScope {
+        if self.whole {
+            ImportScope::WholeDrives
+        } else {
+            ImportScope::Episodes
+        }
+    }
+
     /// Converts the recordings, and stages each scenario at once: a long recording may have more than memory holds.
     fn stage_scenarios(
         &self,
         map: Option<&RecordingMap>,
-        min_brake: MinBrake,
+        options: &ImportOptions,
         quiet: bool,
     ) -> Result<StagedImport, CliError> {
         let folder = OutputFolder::without_listing(&self.out, self.force);
@@ -282,16 +340,12 @@ impl Import {
         let mut refused = None;
         let mut take = |scenario: ImportedScenario| {
             let staged = folder.stage(&mut files, &scenario.file_name, scenario.toml.as_bytes());
-            refused = staged.err();
+            refused = staged.err().map(CliError::from);
             names.push(scenario.file_name);
             refused.is_none()
         };
         let (bar, progress) = read_bar(quiet);
-        let options = ImportOptions {
-            min_brake,
-            leaders: self.leaders,
-        };
-        let imported = import(&self.recordings, map, &options, Some(&progress), &mut take);
+        let imported = import(&self.recordings, map, options, Some(&progress), &mut take);
         bar.finish_and_clear();
         let imported = refused.map_or_else(|| Ok(imported?), Err);
         if imported.is_err() {

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::CliError;
-use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::progress::{import_bar, show};
 use super::{export, output};
@@ -18,6 +17,10 @@ use crumple_exchange::openscenario::{
 use crumple_sim::scenario::Scenario;
 use crumple_sim::scenario::file::{self, MAX_FOLDER_BYTES};
 use crumple_spaces::ScenarioSpace;
+use crumple_store::output_folder::{EarlierFiles, OutputFolder};
+
+/// Maximum number of refused combinations that are printed.
+const MAX_PRINTED_REFUSALS: usize = 10;
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
@@ -61,6 +64,7 @@ impl OpenScenarioArgs {
         let ConvertedFiles {
             files,
             violating,
+            refused,
             notes,
         } = self.convert(path, quiet)?;
         OutputFolder::without_listing(out, force).write(&files, EarlierFiles::Keep)?;
@@ -73,8 +77,9 @@ impl OpenScenarioArgs {
             );
             output::note(&format!("note: {}: {problem}", path.display()), quiet);
         }
+        note_refused(path, &refused, quiet);
         let names = files.iter().map(|(name, _)| name.as_str());
-        let report = OpenScenarioReport::new(out, names, violating, notes);
+        let report = OpenScenarioReport::new(out, names, violating, refused, notes);
         output::print_result(format, &report, || report.to_text())
     }
 
@@ -85,19 +90,25 @@ impl OpenScenarioArgs {
         let Some(distribution) = &self.distribution else {
             let imported = show(&import_bar(1, quiet), |_| source.scenario(ego, &[]));
             let ImportedLaneScenario { scenario, notes } = imported?;
-            return Ok(ConvertedFiles::single(scenario_file(&scenario)?, notes));
+            return Ok(ConvertedFiles::single(
+                scenario_file(path, &scenario)?,
+                notes,
+            ));
         };
         let distributions = ParameterDistributionFile::load(distribution, path)?;
         if !distributions.is_random() {
             let variations = distributions.variations()?;
             let bar = import_bar(variations.len() as u64, quiet);
             return show(&bar, |progress| {
-                import_variations(&source, ego, &variations, progress)
+                import_variations((path, &source), ego, &variations, progress)
             });
         }
         let bar = import_bar(1 + 3 * distributions.random_count() as u64, quiet);
         let (space, notes) = show(&bar, |progress| source.space(ego, &distributions, progress))?;
-        Ok(ConvertedFiles::single(space_file(&space)?, notes))
+        Ok(ConvertedFiles::single(
+            space_file(distribution, &space)?,
+            notes,
+        ))
     }
 }
 
@@ -106,47 +117,74 @@ struct ConvertedFiles {
     files: Vec<(String, Vec<u8>)>,
     /// Number of combinations of values that violate constraints.
     violating: usize,
+    /// Errors of combinations that cannot be imported, each with the values.
+    refused: Vec<String>,
     notes: Vec<String>,
 }
 
 impl ConvertedFiles {
+    fn empty() -> Self {
+        Self {
+            files: Vec::new(),
+            violating: 0,
+            refused: Vec::new(),
+            notes: Vec::new(),
+        }
+    }
+
+    /// Refuses variations of a file of which none can be imported, with the first error.
+    fn ensure_any(self, path: &Path) -> Result<Self, CliError> {
+        if !self.files.is_empty() {
+            return Ok(self);
+        }
+        let first = self.refused.into_iter().next();
+        Err(first.map_or_else(
+            || {
+                let problem =
+                    "all combinations of values violate the constraints of the parameters";
+                CliError::at(path, problem)
+            },
+            CliError::Input,
+        ))
+    }
+
     fn single(file: (String, Vec<u8>), notes: Vec<String>) -> Self {
         Self {
             files: vec![file],
             violating: 0,
+            refused: Vec::new(),
             notes,
         }
     }
 }
 
-fn space_file(space: &ScenarioSpace) -> Result<(String, Vec<u8>), CliError> {
-    let text = crumple_spaces::file::to_toml(space).map_err(CliError::input)?;
-    let text = readable(text, space.name())?;
+fn space_file(path: &Path, space: &ScenarioSpace) -> Result<(String, Vec<u8>), CliError> {
+    let text = crumple_spaces::file::to_toml(space);
+    let text = text.map_err(|error| CliError::at(path, error))?;
+    let text = readable(path, text)?;
     let stem = export::file_stem(space.name());
     Ok((format!("{stem}-space.toml"), text.into_bytes()))
 }
 
-fn scenario_file(scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
-    let text = readable(
-        file::to_toml(scenario).map_err(CliError::input)?,
-        &scenario.spec().name,
-    )?;
+fn scenario_file(path: &Path, scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
+    let text = file::to_toml(scenario);
+    let text = text.map_err(|error| CliError::at(path, error))?;
+    let text = readable(path, text)?;
     Ok((
         format!("{}.toml", export::file_stem(&scenario.spec().name)),
         text.into_bytes(),
     ))
 }
 
-/// Refuses a file that crumple could not read again.
-fn readable(text: String, name: &str) -> Result<String, CliError> {
+/// Refuses a scenario or space of a file that crumple could not read again.
+fn readable(path: &Path, text: String) -> Result<String, CliError> {
     if text.len() as u64 <= text_file::MAX_TOML_BYTES {
         return Ok(text);
     }
     let most = text_file::MAX_TOML_BYTES >> 20;
     let problem = "as its speeds have too many samples: shorten trajectories, speed profiles or curved transitions";
-    Err(CliError::Input(format!(
-        "the file of `{name}` would have more than {most} MiB, {problem}"
-    )))
+    let problem = format!("the written file would have more than {most} MiB, {problem}");
+    Err(CliError::at(path, problem))
 }
 
 fn describe_values(variation: &Variation) -> String {
@@ -157,23 +195,39 @@ fn describe_values(variation: &Variation) -> String {
     values.join(", ")
 }
 
-fn too_many_variations() -> CliError {
+fn too_many_variations(path: &Path) -> CliError {
     let most = MAX_FOLDER_BYTES >> 20;
-    CliError::Input(format!(
-        "the scenarios of all variations have more than {most} MiB: give fewer values"
-    ))
+    let problem =
+        format!("the scenarios of all variations have more than {most} MiB: give fewer values");
+    CliError::at(path, problem)
 }
 
-/// Returns the files of all variations, with the notes of the first.
+/// Prints the errors of combinations that cannot be imported.
+fn note_refused(path: &Path, refused: &[String], quiet: bool) {
+    if refused.is_empty() {
+        return;
+    }
+    let count = refused.len();
+    let problem = format!("{count} combinations of values cannot be imported");
+    output::note(&format!("note: {}: {problem}", path.display()), quiet);
+    for error in refused.iter().take(MAX_PRINTED_REFUSALS) {
+        output::note(&format!("note: refused: {error}"), quiet);
+    }
+    if count > MAX_PRINTED_REFUSALS {
+        let more = count - MAX_PRINTED_REFUSALS;
+        let text = format!("note: and {more} more, which --format json lists");
+        output::note(&text, quiet);
+    }
+}
+
+/// Returns the files of all variations that can be imported, with the notes of the first.
 fn import_variations(
-    source: &OpenScenarioSource,
+    (path, source): (&Path, &OpenScenarioSource),
     ego: Option<&str>,
     variations: &[Variation],
     progress: &dyn Observer<RunProgress>,
 ) -> Result<ConvertedFiles, CliError> {
-    let mut files = Vec::new();
-    let mut violating = 0;
-    let mut notes = Vec::new();
+    let mut converted = ConvertedFiles::empty();
     let mut bytes_left = MAX_FOLDER_BYTES;
     let counter = ProgressCounter::new(progress, Some(variations.len() as u64));
     for (index, variation) in variations.iter().enumerate() {
@@ -182,32 +236,40 @@ fn import_variations(
         let imported = match source.scenario(ego, variation) {
             Ok(imported) => imported,
             Err(ScenarioImportError::Constraint { .. }) => {
-                violating += 1;
+                converted.violating += 1;
+                continue;
+            }
+            Err(
+                error @ (ScenarioImportError::Refused { .. } | ScenarioImportError::Invalid { .. }),
+            ) => {
+                converted.refused.push(format!("{error} (with `{values}`)"));
                 continue;
             }
             Err(error) => return Err(CliError::Input(format!("{error} (with `{values}`)"))),
         };
-        let named = imported.scenario.edited(|spec| {
-            let stem: String = spec.name.chars().take(190).collect();
-            (spec.name, spec.about) = (format!("{stem}-{:05}", index + 1), values);
-        });
-        let file = scenario_file(&named.map_err(CliError::input)?)?;
+        let file = variation_file(path, &imported.scenario, index, values)?;
         bytes_left = bytes_left
             .checked_sub(file.1.len() as u64)
-            .ok_or_else(too_many_variations)?;
-        files.push(file);
-        if files.len() == 1 {
-            notes = imported.notes;
+            .ok_or_else(|| too_many_variations(path))?;
+        converted.files.push(file);
+        if converted.files.len() == 1 {
+            converted.notes = imported.notes;
         }
     }
-    if files.is_empty() {
-        return Err(CliError::Input(
-            "all combinations of values violate the constraints of the parameters".to_owned(),
-        ));
-    }
-    Ok(ConvertedFiles {
-        files,
-        violating,
-        notes,
-    })
+    converted.ensure_any(path)
+}
+
+/// Returns the file of a variation, with its number in the name.
+fn variation_file(
+    path: &Path,
+    scenario: &Scenario,
+    index: usize,
+    values: String,
+) -> Result<(String, Vec<u8>), CliError> {
+    let named = scenario.edited(|spec| {
+        let stem: String = spec.name.chars().take(190).collect();
+        (spec.name, spec.about) = (format!("{stem}-{:05}", index + 1), values);
+    });
+    let named = named.map_err(|invalid| CliError::at(path, invalid))?;
+    scenario_file(path, &named)
 }

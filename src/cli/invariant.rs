@@ -9,12 +9,11 @@ use crumple_verify::invariant::MotionModel;
 use crumple_verify::{WorkLimit, check_with};
 use indicatif::ProgressBar;
 
-use super::import::render_figure;
 use super::output;
 use super::output_format::OutputFormat;
 use super::reach::write_certificate;
 use super::simulate::path_ending_in;
-use super::{CliError, args, progress};
+use super::{CliError, args, feature, progress};
 use crumple_evidence::{
     InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantReport, InvariantSet,
     InvariantSpec, InvariantStage,
@@ -31,9 +30,9 @@ const PICTURE_LINES: u32 = 5;
 #[derive(Args)]
 #[command(after_long_help = "\
 The set is {gap >= h(own speed, leader's speed)}. crumple searches for the lowest h for which the controller, at each \
-decision and for every leader within the limits, leads from the set into the set. The checker verifies each cell of \
-h with outward rounding. The claim covers the controller alone, its decision interval, and observations within the \
-stated errors. It has no time limit, and ends if a speed leaves the stated range.
+decision and for every leader within the limits, keeps the state in the set. The checker verifies each cell of h with \
+outward rounding. The claim covers the controller alone, its decision interval, and observations within the stated \
+errors. It has no time limit, and ends if a speed leaves the stated range.
 
 With the other defaults, the search for idm takes about 25 s of processor time with 140 cells, and 9 s with 70. If \
 the region has no set, the command searches up to four smaller regions, which takes several times as long.
@@ -45,7 +44,8 @@ Exit code 1 if no set is found.
 
 Examples:
   crumple verify invariant --controller idm --certificate idm.json
-  crumple verify invariant --controller two-inputs.toml --plant relative --speed -20..20 --leader-accel 0..0")]
+  crumple verify invariant --controller two-inputs.toml --plant relative --speed -20..20 \\
+    --leader-accel 0..0")]
 pub(super) struct InvariantCommand {
     /// Controller: idm, acc-aeb, with settings or without, a policy, or a network
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
@@ -160,7 +160,7 @@ impl InvariantCommand {
             .map_err(|error| self.describe_refusal(error))?
         else {
             bar.finish_and_clear();
-            return Err(CliError::Gate(format!(
+            return Err(CliError::Unmet(format!(
                 "{}: no set found; try larger --cells, --splits or --smallest-gap",
                 self.controller.name
             )));
@@ -168,7 +168,7 @@ impl InvariantCommand {
         bar.set_message("checking the proof");
         let accepted = check_with(&set.certificate, plan.policy_bytes(), WorkLimit::UNLIMITED)
             .map_err(|rejection| {
-                CliError::Gate(format!("the checker rejected the proof: {rejection}"))
+                CliError::Unmet(format!("the checker rejected the proof: {rejection}"))
             })?;
         bar.set_message("searching for a leader that defeats the controller");
         let defeat = plan
@@ -176,7 +176,7 @@ impl InvariantCommand {
             .map_err(|error| self.describe_refusal(error))?;
         bar.finish_and_clear();
         let report = InvariantReport::new(&self.controller.name, &set, &accepted, defeat)
-            .ok_or_else(|| CliError::Gate("the checker proved another claim".to_owned()))?;
+            .ok_or_else(|| CliError::Unmet("the checker proved another claim".to_owned()))?;
         self.write_files(&plan, &set)?;
         output::print_result(self.format, &report, || report.to_text())
     }
@@ -239,7 +239,7 @@ impl InvariantCommand {
             InvalidBox::Mapping(invalid) => {
                 let field = self.controller.field_location(&invalid.field);
                 CliError::Input(format!(
-                    "--controller: {field}cannot be followed: {invalid}"
+                    "--controller: {field}cannot be verified: {invalid}"
                 ))
             }
             InvalidBox::Field(invalid) => CliError::Input(format!(
@@ -265,7 +265,7 @@ impl InvariantCommand {
             let figure = draw_invariant_set(&self.picture_lines(set), self.gap);
             files.stage(
                 &output::resolve_output_path(path)?,
-                &render_figure(&figure, path)?,
+                &feature::encode_figure(path, &figure)?,
             )?;
             files.commit()?;
         }

@@ -9,14 +9,20 @@ use serde::Serialize;
 use super::output_format::OutputFormat;
 use super::{CliError, output};
 use crumple_search::falsify::Method;
-use crumple_sim::control::{BuiltInController, CONTROLLERS_FOR_TESTS};
+use crumple_sim::control::BuiltInController;
 use crumple_sim::scenario::built_in_scenario_names;
-use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES};
+use crumple_spaces::{BUILT_IN_SPACES, VARIANT_SPACES};
 
 const SHIELD_ENTRY: (&str, &str) = (
     "shield:policy",
     "policy with a shield: full braking if the policy's command would leave the safety kernel; shield: works with any \
      controller",
+);
+
+const TWO_SIDED_SHIELD_ENTRY: (&str, &str) = (
+    "shield2:policy",
+    "policy with a two-sided shield: executes a plan unless, after the policy's command, a plan avoids the leader and \
+     keeps a follower of the stated class from hitting the vehicle; shield2: works with any controller",
 );
 
 const FILE_ENTRY: (&str, &str) = (
@@ -82,17 +88,20 @@ impl Catalogue {
         match self {
             Self::Scenarios => built_in_scenario_names().map(CatalogueEntry::from).into(),
             Self::Controllers => {
-                let mut controllers = BuiltInController::all();
-                controllers.retain(|controller| {
-                    all || !CONTROLLERS_FOR_TESTS.contains(&controller.name())
-                });
+                let controllers = match all {
+                    true => BuiltInController::all(),
+                    false => BuiltInController::all_that_drive(),
+                };
                 let mut entries: Vec<_> = controllers.iter().map(controller_entry).collect();
+                let presets = BuiltInController::presets();
+                entries.extend(presets.map(|preset| (preset.name, preset.summary).into()));
                 entries.push(SHIELD_ENTRY.into());
+                entries.push(TWO_SIDED_SHIELD_ENTRY.into());
                 entries
             }
             Self::Spaces => BUILT_IN_SPACES
                 .into_iter()
-                .chain(HUMAN_SPACES)
+                .chain(VARIANT_SPACES)
                 .map(|(name, summary, _)| (name, summary).into())
                 .collect(),
             Self::Methods => Method::ALL
@@ -178,6 +187,11 @@ fn output_columns() -> usize {
 /// Writes a name and its summary, whose lines are wrapped.
 fn write_entry(text: &mut String, name: &str, summary: &str, columns: usize) {
     let mut shown = format!("  {name}");
+    // A space stays between a name and its summary.
+    if shown.chars().count() >= NAME_COLUMNS {
+        let _ = writeln!(text, "{shown}");
+        shown.clear();
+    }
     for line in wrap(
         summary,
         columns

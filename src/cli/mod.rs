@@ -9,6 +9,7 @@ mod check;
 mod describe;
 mod describe_fmu;
 mod doctor;
+mod drives;
 mod error;
 #[cfg(feature = "explore")]
 mod explore;
@@ -30,7 +31,6 @@ mod invariant;
 mod list;
 mod new;
 mod output;
-mod output_folder;
 mod output_format;
 mod preset;
 mod progress;
@@ -46,7 +46,7 @@ mod suite;
 mod suite_folder;
 mod train;
 mod tune;
-mod utc;
+mod two_sided;
 mod value_enums;
 mod verify;
 mod worst_case;
@@ -58,7 +58,7 @@ use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use crumple_core::regular_file;
+use crumple_core::{regular_file, threads};
 
 use crumple_controllers::{Controllers, ExternalPrograms};
 use error::CliError;
@@ -67,7 +67,7 @@ use global_options::GlobalOptions;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    a gate did not hold, or the result is negative: --expect not met, certificate
+  1    the result is negative: a gate of an assessment failed, --expect not met, certificate
        rejected, nothing verified, no episode found, training or retraining without a
        better policy, files damaged
   2    unusable arguments or input; the message names file, line and field
@@ -95,10 +95,14 @@ struct Cli {
     /// Print no progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true)]
     quiet: bool,
-    /// Also start programs and FMUs that files name: scenarios, spaces, suites, campaigns, certificates.
-    /// Without it crumple starts only those named on this command line, or in a configuration or controller file on it
+    /// Also start programs and FMUs that files name: scenarios, spaces, suites, campaigns, certificates. Without it
+    /// crumple starts only those named on this command line, or in a configuration or controller file named there
     #[arg(long, global = true)]
     allow_external: bool,
+    /// Number of threads, 1 to 1024 [default: RAYON_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
+    /// process may use]
+    #[arg(long, global = true, value_name = "N", value_parser = args::whole_number::<usize>(1..=1024))]
+    jobs: Option<usize>,
     #[command(subcommand)]
     command: CliCommand,
 }
@@ -154,10 +158,11 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         quiet,
         controllers: Controllers { external },
     };
-    let done = args::try_controllers(quiet).and_then(|()| match parsed.command {
+    let ready = start_threads(parsed.jobs).and_then(|()| args::try_controllers(quiet));
+    let done = ready.and_then(|()| match parsed.command {
         CliCommand::Assess(command) => command.run(global),
         CliCommand::Simulate(command) => command.run(global),
-        CliCommand::Import(command) => command.run(quiet),
+        CliCommand::Import(command) => command.run(global),
         CliCommand::Fit(command) => command.run(quiet),
         CliCommand::Replay(command) => command.run(quiet),
         CliCommand::Export(command) => command.run(global),
@@ -190,6 +195,19 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             failure.exit_code()
         }
     }
+}
+
+/// Starts the threads of all work if the user states their number. Otherwise they start with the first work, on all
+/// cores that this process may use.
+fn start_threads(jobs: Option<usize>) -> Result<(), CliError> {
+    let stated = threads::explicit_thread_count(jobs).map_err(CliError::input)?;
+    let Some(count) = stated else {
+        return Ok(());
+    };
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(count)
+        .build_global()
+        .map_err(|error| CliError::Environment(format!("cannot start {count} threads: {error}")))
 }
 
 /// Prints the help or the version that the user asked for, or an error of the arguments. Returns the exit code.

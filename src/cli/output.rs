@@ -13,7 +13,8 @@ use serde::Serialize;
 use super::CliError;
 use super::output_format::OutputFormat;
 use crumple_core::quoting::{TerminalLines, TerminalMessage, shorten_message};
-use crumple_store::disk::DiskError;
+use crumple_store::disk::{DiskError, StagedFiles};
+use crumple_store::output_folder::{EXISTING_FILE_PROBLEM, stage};
 
 /// Maximum number of lines of a warning.
 const MAX_WARNING_LINES: usize = 200;
@@ -253,6 +254,23 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
         ));
     }
     Ok(target)
+}
+
+/// Stages a file that the user named. With `force` it may replace a file with other contents.
+pub(super) fn stage_unless_edited(
+    files: &mut StagedFiles,
+    path: &Path,
+    bytes: &[u8],
+    force: bool,
+) -> Result<(), CliError> {
+    let path = resolve_output_path(path)?;
+    Ok(stage(
+        files,
+        &path,
+        bytes,
+        |_| force,
+        EXISTING_FILE_PROBLEM,
+    )?)
 }
 
 #[cfg(test)]

@@ -8,12 +8,12 @@ use crumple_store::disk::StagedFiles;
 use crumple_verify::{Certificate, WorkLimit, check_with};
 
 use super::output;
-use super::output_folder::stage;
 use super::output_format::OutputFormat;
 use super::{CliError, args, progress};
 use crumple_core::text_file;
 use crumple_evidence::{BoxSpec, InvalidBox, ReachPlan, ReachReport, VolumeShares};
 use crumple_sim::engine::NamedController;
+use crumple_store::output_folder::stage;
 
 /// Prove from which part of a box of initial states a policy or a network avoids every collision
 #[derive(Args)]
@@ -29,12 +29,13 @@ inputs must be sums and differences of present observations, each with offset, s
 history, no previous output.
 
 A box is a file in TOML: `version = 1`, `scenario` (paper-1, or another built-in one with a leader that brakes, one \
-vehicle under test and at most one behind it), and under `[ranges]` the changed values, each a number or `{ low = A, \
-high = B }`: gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, follower_speed_mps, leader_brake_mps2, \
-follower_brake_mps2, onset_s. `observation_error` may state the error of each of the eight inputs of a policy \
-(docs/controllers.md); `leader_brakes_at_most_mps2 = B` replaces the leader's script by any braking of 0 to B in \
-each step; `follower_drives = \"idm\"` (or `acc-aeb`, or either with settings, `{ idm = { time_headway_s = 1.2 } }`) \
-replaces the follower with a latched emergency brake. Exit code 1 if no part of the box is verified.
+vehicle under test and at most one behind it), and under `[ranges]` the changed values, each a number or \
+`{ low = A, high = B }`: gap_ahead_m, gap_behind_m, leader_speed_mps, ego_speed_mps, follower_speed_mps, \
+leader_brake_mps2, follower_brake_mps2, onset_s. `observation_error` may state the error of each of the eight inputs \
+of a policy (docs/controllers.md); `leader_brakes_at_most_mps2 = B` replaces the leader's script by any braking of 0 \
+to B in each step; `follower_drives = \"idm\"` (or `acc-aeb`, or either with settings, \
+`{ idm = { time_headway_s = 1.2 } }`) is the follower's controller in place of the latched emergency brake. Exit code \
+1 if no part of the box is verified.
 
 Examples:
   crumple verify reach --controller policy --box paper-1 --depth 6 --certificate reach/paper-1.json
@@ -99,7 +100,7 @@ impl ReachCommand {
         let policy = plan.policy_bytes();
         let accepted = check_with(&partition.certificate, Some(policy), WorkLimit::UNLIMITED)
             .map_err(|rejection| {
-                CliError::Gate(format!("the checker rejected the proof: {rejection}"))
+                CliError::Unmet(format!("the checker rejected the proof: {rejection}"))
             })?;
         if let Some(path) = &self.certificate {
             write_certificate(path, &partition.certificate, policy)?;
@@ -107,7 +108,7 @@ impl ReachCommand {
         let report = ReachReport::new(&self.controller.name, &self.starts, &partition, &accepted)
             .with_certificate(self.certificate.as_deref());
         let printed = output::print_result(self.format, &report, || report.to_text());
-        CliError::gate_first(self.check_verified(&report), printed)
+        CliError::verdict_first(self.check_verified(&report), printed)
     }
 
     /// Describes an error with the option or the line of the box that caused it.
@@ -122,7 +123,7 @@ impl ReachCommand {
             InvalidBox::Mapping(invalid) => {
                 let field = self.controller.field_location(&invalid.field);
                 CliError::Input(format!(
-                    "--controller: {field}cannot be followed: {invalid}"
+                    "--controller: {field}cannot be verified: {invalid}"
                 ))
             }
             other => CliError::Input(format!("{file}: {other}")),
@@ -138,7 +139,7 @@ impl ReachCommand {
         } else {
             ""
         };
-        Err(CliError::Gate(format!(
+        Err(CliError::Unmet(format!(
             "{}: no part of the box was verified{deeper}",
             self.starts.display()
         )))

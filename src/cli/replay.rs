@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::fit::ensure_distinct;
 use super::import::{load_map, note_text_format, parse_min_brake};
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, progress};
@@ -12,7 +11,7 @@ use crumple_evidence::{DriveOfRecording, ReplayReport};
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::replay::{OpenLoopError, ReplayedDrive, replay};
 use crumple_exchange::recording::{
-    DroppedItem, HardestSearch, Recording, TextFormat, load_parts, merge_dropped,
+    DroppedItem, HardestSearch, Recording, TextFormat, ensure_distinct, load_parts, merge_dropped,
 };
 use crumple_sim::engine::{NamedController, RunOptions};
 use crumple_sim::observation::EstimatorKind;
@@ -21,12 +20,12 @@ use crumple_sim::observation::EstimatorKind;
 #[derive(Args)]
 #[command(after_long_help = "\
 Reads the same recordings as `crumple import`. The controller replaces each vehicle with a recorded leader. It \
-observes the recorded gaps, speeds and accelerations, and its commands change nothing. Each braking that it would \
-have begun is listed beside the driver's hardest braking until one second later. Braking is unnecessary as in \
-assessments (docs/glossary.md): more than 2 m/s² beyond the deceleration that the vehicle ahead justifies. Rates have \
-exact 95 % intervals of Poisson counts, which assume that unnecessary brakings are independent. Braking that would \
-have prevented a situation does not show, because the recorded driver keeps the distance. A controller that would keep \
-another distance can brake unnecessarily here and not where it drives itself.
+observes the recorded gaps, speeds and accelerations, and its commands change nothing. crumple lists each braking that \
+the controller would have begun, and the recorded driver's hardest braking during it and the next second. Braking is \
+unnecessary as in assessments (docs/glossary.md): more than 2 m/s² beyond the deceleration that the vehicle ahead \
+justifies. Rates have exact 95 % intervals of Poisson counts, which assume that unnecessary brakings are independent. \
+Braking that would have prevented a situation does not show, because the recorded driver determines the distance. A \
+controller that would keep another distance can brake unnecessarily here, but not in closed loop.
 
 Examples:
   crumple replay platoon.csv --controller acc-aeb

@@ -7,7 +7,6 @@ use clap::builder::PossibleValuesParser;
 use clap::{Arg, Args, Command};
 use clap_complete::Shell;
 
-use super::output_folder::{EarlierFiles, OutputFolder};
 use super::preset::RETRAIN_PRESET_NAMES;
 use super::reach::BUILT_IN_BOXES;
 use super::{CliError, output, show};
@@ -17,6 +16,7 @@ use crumple_search::falsify::Method;
 use crumple_sim::control::BuiltInController;
 use crumple_sim::scenario::built_in_scenario_names;
 use crumple_spaces::built_in_space_names;
+use crumple_store::output_folder::{EarlierFiles, OutputFolder};
 use crumple_suites::SHIPPED_SUITES;
 
 /// Print a completion script for a shell
@@ -66,8 +66,11 @@ enum NamedItems {
 
 /// Names of built-in controllers behind a shield.
 static SHIELDED: LazyLock<Vec<String>> = LazyLock::new(|| {
-    let specs = BuiltInController::all();
-    let shielded = specs.iter().map(|spec| format!("shield:{}", spec.name()));
+    let specs = BuiltInController::all_that_drive();
+    let shielded = ["shield", "shield2"].into_iter().flat_map(|shield| {
+        let specs = specs.iter();
+        specs.map(move |spec| format!("{shield}:{}", spec.name()))
+    });
     shielded.collect()
 });
 
@@ -116,11 +119,12 @@ impl NamedItems {
     fn names(self) -> Vec<&'static str> {
         match self {
             Self::Controllers => {
-                let specs = BuiltInController::all();
+                let specs = BuiltInController::all_that_drive();
                 let shielded = SHIELDED.iter().map(String::as_str);
                 specs
                     .iter()
                     .map(BuiltInController::name)
+                    .chain(BuiltInController::presets().map(|preset| preset.name))
                     .chain(shielded)
                     .collect()
             }

@@ -9,8 +9,9 @@ use crumple_controllers::find_built_in;
 use crumple_exchange::recording::map::BUILT_IN_MAPS;
 use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
+use crumple_report::assessment::default_configuration;
 use crumple_sim::scenario::{VehicleClass, built_in_scenario, built_in_scenario_names, file};
-use crumple_spaces::{BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file};
+use crumple_spaces::{BUILT_IN_SPACES, VARIANT_SPACES, built_in_space, file as space_file};
 use crumple_suites::SHIPPED_SUITES;
 
 /// Print a built-in item as a file that a user could write
@@ -21,6 +22,7 @@ vehicle in a scenario file. A name may stand for several kinds, such as a scenar
 in the order of --kind, and a note names the others.
 
 Examples:
+  crumple show assessment > mine.toml && crumple assess mine.toml
   crumple show paper-1 > mine.toml && crumple simulate mine.toml
   crumple show high-risk > mine.toml
   crumple falsify --controller idm --space mine.toml --budget 100
@@ -38,6 +40,8 @@ pub(super) struct Show {
 /// A kind of built-in items that have a file format.
 #[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
 enum BuiltInKind {
+    /// Configurations of reports, for `assess`
+    Assessment,
     /// Scenarios, for `simulate`
     Scenario,
     /// Spaces of scenarios, for `falsify --space`
@@ -63,6 +67,7 @@ impl BuiltInKind {
     /// Returns the name and the text of each built-in file of this kind.
     fn files(self) -> Result<Vec<(&'static str, String)>, CliError> {
         match self {
+            Self::Assessment => Ok(vec![("assessment", default_configuration())]),
             Self::Scenario => built_in_scenario_names()
                 .into_iter()
                 .filter_map(|(name, _)| Some((name, built_in_scenario(name)?)))
@@ -72,7 +77,7 @@ impl BuiltInKind {
                 .collect(),
             Self::Space => {
                 let shipped = BUILT_IN_SPACES.map(|(name, _, text)| Ok((name, text.to_owned())));
-                let human = HUMAN_SPACES.map(|(name, ..)| Ok((name, space_toml(name)?)));
+                let human = VARIANT_SPACES.map(|(name, ..)| Ok((name, space_toml(name)?)));
                 shipped.into_iter().chain(human).collect()
             }
             Self::Preset => Ok(owned(

@@ -8,14 +8,16 @@ use clap::{Args, ValueEnum};
 use super::global_options::GlobalOptions;
 use super::output;
 use super::output_format::OutputFormat;
+use super::two_sided::parse_class_settings;
 use super::value_enums::AfterCollisionArgs;
-use super::{CliError, args, feature, value_enums};
+use super::{CliError, args, export, feature, value_enums};
 use crumple_controllers::Controllers;
+use crumple_evidence::describe_followers;
 use crumple_measure::{RunEnd, RunFindings, RunReport, RunTotal, SpecificationResult, TotalReport};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
-use crumple_report::export;
-use crumple_search::confirmation::ReplayShare;
+use crumple_report::export::to_csv;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
+use crumple_sim::control::TwoSidedSettings;
 use crumple_sim::engine::{
     Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace,
     simulate_batch,
@@ -27,21 +29,22 @@ use crumple_store::disk::StagedFiles;
 /// Run scenarios and print their outcomes
 #[derive(Args)]
 #[command(after_long_help = "\
-For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension, and the \
-text ends with a total by kind of collision. With a folder, the text has one line for each scenario, or the full text \
-with --details, and the last object of JSON is the total.
+For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension. The text \
+ends with a total by kind of collision, and so does the JSON. With a folder, the text has one line for each scenario, \
+or the full text with --details.
 
 A formula of --spec is evaluated as by `crumple falsify`, on a simulation that continues after collisions whatever \
 --after-collision says; negative robustness means violated. `--expect satisfied` requires that every scenario \
 satisfies every specification, `--expect violated` that each scenario violates at least one. `safe` requires no \
-collision and no controller that fails, `collision` a collision. `useful` requires what `safe` does and no \
-unnecessary braking: for 0.2 s, by more than 2 m/s² harder than the Intelligent Driver Model would at the true \
-state, than necessary to avoid a collision, and than the leader itself. Nor may a vehicle under test end at less \
-than half the speed of a leader that drives on.
+collision and no controller that fails, `collision` a collision. `useful` requires what `safe` does and no unnecessary \
+braking: for 0.2 s, more than 2 m/s² harder than each of the Intelligent Driver Model at the true state, the braking \
+that avoids a collision, and the braking of the leader. Nor may a vehicle under test fall behind a leader that still \
+drives: end at less than half its speed, or at a gap above both the initial one and 20 m plus 6 s times the leader's \
+speed.
 
-A scenario file may have 8 MiB of JSON or 3 of TOML, 1000 vehicles, and 5 million vehicles times steps, of which a \
-trace takes 120 MB; a formula 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); \
-a policy file 256 MiB, a network 64 MiB.
+A scenario file may have 8 MiB of JSON or 3 MiB of TOML, 1000 vehicles, and 5 million vehicle-steps, whose trace takes \
+120 MB. A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); a \
+policy file 256 MiB, a network 64 MiB.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
@@ -67,8 +70,8 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     #[arg(value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: Option<u64>,
-    /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the
-    /// scenario's
+    /// Integration step in seconds: the scenario's step divided by a whole number; controllers, sensors and noise keep
+    /// the scenario's step
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
     #[command(flatten)]
@@ -93,6 +96,11 @@ pub(super) struct Simulate {
     /// Also evaluate each part of the formulas over time; --plot draws the first twelve below the diagrams
     #[arg(long, requires = "spec")]
     parts: bool,
+    /// Also compute the level of each vehicle under test over time: the hardest braking of the leader for which a plan
+    /// avoids a collision on both sides. The value has the settings of the follower's class, as after `shield2`
+    #[arg(long, value_name = "SETTINGS", num_args = 0..=1, require_equals = true, default_missing_value = "")]
+    #[arg(value_parser = parse_class_settings)]
+    level: Option<TwoSidedSettings>,
     /// With a folder of scenario files: print the full text of each scenario instead of one line
     #[arg(long)]
     details: bool,
@@ -154,6 +162,18 @@ impl RenderedRun {
     }
 }
 
+/// Returns the scenario up to the last vehicle under test, with at least two vehicles.
+fn without_vehicles_behind(scenario: &Scenario) -> Result<Scenario, CliError> {
+    let vehicles = scenario.vehicles().len();
+    let last = (0..vehicles).rfind(|&index| scenario.is_under_test(index));
+    scenario
+        .edited(|spec| {
+            spec.vehicles
+                .truncate(last.map_or(vehicles, |last| (last + 1).max(2)))
+        })
+        .map_err(CliError::input)
+}
+
 fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
@@ -191,14 +211,9 @@ impl Simulate {
         }
         files.commit()?;
         let mut text: String = results.iter().map(|result| result.text.as_str()).collect();
-        text += &self.total(&results, has_folder)?;
-        if let (Some(plant), true, OutputFormat::Text) = (self.plant, many, self.format) {
-            let share = ReplayShare::from_results(results.iter().map(|result| result.collided));
-            let share = share.map(|share| share.describe("scenarios have a collision"));
-            text += &format!("{}: {}\n", plant.name(), share.unwrap_or_default());
-        }
+        text += &self.total(&scenarios, &results, has_folder)?;
         let printed = output::print_coloured(self.format, &text);
-        CliError::gate_first(self.check_expectation(&runs, &results), printed)
+        CliError::verdict_first(self.check_expectation(&runs, &results), printed)
     }
 
     fn check_spec_expectation(&self) -> Result<(), CliError> {
@@ -233,19 +248,56 @@ impl Simulate {
             .collect()
     }
 
-    /// Returns the total of several runs: for a folder in both formats, otherwise as text only.
-    fn total(&self, results: &[RenderedRun], has_folder: bool) -> Result<String, CliError> {
+    /// Returns the total of several runs, or of a folder; empty for one run.
+    fn total(
+        &self,
+        scenarios: &[Scenario],
+        results: &[RenderedRun],
+        has_folder: bool,
+    ) -> Result<String, CliError> {
+        if !has_folder && results.len() < 2 {
+            return Ok(String::new());
+        }
         let findings: Vec<_> = results.iter().map(|result| result.findings).collect();
-        let total = RunTotal::new(&findings, !self.spec.is_empty());
+        let mut total = RunTotal::new(&findings, !self.spec.is_empty());
+        if let Some(alone) = self.count_braking_alone(scenarios, &findings)? {
+            total = total.with_braking_alone(alone);
+        }
+        if let Some(plant) = self.plant {
+            total = total.with_plant(plant, results.iter().map(|result| result.collided));
+        }
         match self.format {
-            OutputFormat::Text if has_folder || results.len() > 1 => {
-                Ok(total.to_text(&self.controller.name, self.estimator.name()))
-            }
-            OutputFormat::Json if has_folder => {
+            OutputFormat::Text => Ok(total.to_text(&self.controller.name, self.estimator.name())),
+            OutputFormat::Json => {
                 Ok(serde_json::to_string(&TotalReport { total }).map_err(CliError::input)? + "\n")
             }
-            _ => Ok(String::new()),
         }
+    }
+
+    /// Simulates the scenarios with unnecessary braking again without the vehicles behind those under test, and returns
+    /// in how many it still happens; `None` if none of them has such a vehicle.
+    fn count_braking_alone(
+        &self,
+        scenarios: &[Scenario],
+        findings: &[RunFindings],
+    ) -> Result<Option<usize>, CliError> {
+        let braking = scenarios.iter().zip(findings);
+        let braking = braking.filter(|(_, findings)| findings.brakes_unnecessarily);
+        let (alone, followed): (Vec<_>, Vec<_>) =
+            braking.partition(|(_, findings)| findings.ends_under_test);
+        if followed.is_empty() {
+            return Ok(None);
+        }
+        let shortened = followed
+            .iter()
+            .map(|(scenario, _)| without_vehicles_behind(scenario))
+            .collect::<Result<Vec<_>, _>>()?;
+        let runs = self.runs(&shortened)?;
+        let still = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
+            RunReport::new(&runs[index], &self.controller, &simulated).brakes_unnecessarily()
+        });
+        let still = still.into_iter().filter(|still| *still).count();
+        Ok(Some(alone.len() + still))
     }
 
     /// Renders all output of one run, so that its trace can be dropped.
@@ -267,12 +319,15 @@ impl Simulate {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
                 let figure = self.draw_run(run, trace, simulated, &report);
-                files.push((path_for_scenario(path, name), encode_figure(path, &figure)?));
+                files.push((
+                    path_for_scenario(path, name),
+                    feature::encode_figure(path, &figure)?,
+                ));
             }
             if let Some(path) = &self.trace {
                 let table = match extension(path) {
-                    Some("csv") => export::to_csv(trace).map_err(CliError::input),
-                    _ => feature::encode_parquet(trace),
+                    Some("csv") => to_csv(trace, &report.levels).map_err(CliError::input),
+                    _ => feature::encode_parquet(trace, &report.levels),
                 };
                 files.push((path_for_scenario(path, name), table?));
             }
@@ -306,10 +361,15 @@ impl Simulate {
             .flat_map(|evaluated| &evaluated.parts)
             .map(|report| report.part.clone())
             .collect();
-        if parts.is_empty() {
+        let figure = if parts.is_empty() {
             figure
         } else {
             draw::add_robustness("motion", &figure, &parts, run.dt_s())
+        };
+        if report.levels.is_empty() {
+            figure
+        } else {
+            draw::add_levels("motion", &figure, &report.levels)
         }
     }
 
@@ -363,7 +423,7 @@ impl Simulate {
     fn run_options(&self) -> RunOptions {
         let options = RunOptions::new(self.controller.source.clone())
             .with_estimator(self.estimator)
-            .with_after_contact(self.after_collision.behaviour);
+            .with_after_collision(self.after_collision.behaviour);
         match self.dt {
             None => options,
             Some(dt_s) => options.with_dt_s(dt_s),
@@ -382,9 +442,13 @@ impl Simulate {
             self.parts,
         )
         .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
-        Ok(RunReport::new(run, &self.controller, result)
+        let report = RunReport::new(run, &self.controller, result)
             .with_plant(self.plant)
-            .with_specifications(specifications))
+            .with_specifications(specifications);
+        Ok(match &self.level {
+            Some(settings) => report.with_levels(run, result, settings, describe_followers),
+            None => report,
+        })
     }
 
     fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), CliError> {
@@ -401,7 +465,7 @@ impl Simulate {
         if otherwise.is_empty() {
             return Ok(());
         }
-        Err(CliError::Gate(format!(
+        Err(CliError::Unmet(format!(
             "expected {} in {}",
             expected.description(),
             otherwise.join(", ")
@@ -430,7 +494,7 @@ fn list_scenario_files(paths: Vec<PathBuf>) -> Result<Vec<PathBuf>, CliError> {
     Ok(files)
 }
 
-/// Renders the three diagrams of a run, in the format of the file's extension.
+/// Renders the diagrams of a run, in the format of the file's extension.
 pub(super) fn render_motion_figure(
     path: &Path,
     scenario: &Scenario,
@@ -438,7 +502,7 @@ pub(super) fn render_motion_figure(
     trace: &Trace,
     impacts: &[Impact],
 ) -> Result<Vec<u8>, CliError> {
-    encode_figure(path, &draw_motion(scenario, controller, trace, impacts))
+    feature::encode_figure(path, &draw_motion(scenario, controller, trace, impacts))
 }
 
 fn draw_motion(scenario: &Scenario, controller: &str, trace: &Trace, impacts: &[Impact]) -> Svg {
@@ -452,13 +516,6 @@ fn draw_motion(scenario: &Scenario, controller: &str, trace: &Trace, impacts: &[
         impacts,
     };
     draw::draw_motion(&figure, PanelArrangement::Wide)
-}
-
-fn encode_figure(path: &Path, picture: &Svg) -> Result<Vec<u8>, CliError> {
-    match extension(path) {
-        Some("png") => feature::render_png(picture),
-        _ => Ok(picture.document().into_bytes()),
-    }
 }
 
 /// Parses a path with one of two extensions, in a format that this build writes.
@@ -504,15 +561,6 @@ fn path_for_scenario(path: &Path, name: Option<&str>) -> PathBuf {
     else {
         return path.to_owned();
     };
-    let plain: String = name
-        .chars()
-        .map(|c| {
-            if c.is_alphanumeric() || "-_.".contains(c) {
-                c
-            } else {
-                '-'
-            }
-        })
-        .collect();
+    let plain = export::plain_file_name(name);
     path.with_file_name(format!("{}-{plain}.{extension}", stem.to_string_lossy()))
 }

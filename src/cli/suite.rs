@@ -34,13 +34,16 @@ enum SuiteSubcommand {
     Table(SuiteTable),
 }
 
-/// Run a suite: clause, test, verdict, margin
+/// Run a suite, and print clause, test, verdict and margin
 #[derive(Args)]
 #[command(after_long_help = "\
 A test passes if it ends without a collision, or without one faster than the test allows. A margin states how far \
 one quantity can be changed until the test fails, with all others fixed; crumple simulates both sides of the \
 boundary. For a failed test crumple states whether each reference driver, which observes the true state, would have \
 prevented the collision, and for the first three points also whether any driver could have.
+
+In tests with manual braking, a test driver brakes after a warning of the controller, or after the reference warning \
+of the suite; the result states which. Replay commands name the test driver.
 
 The folder of --out also contains `failures.sha256`, which lists the files of a run (`sha256sum -c` checks it). The \
 next run there replaces these files. Every other file stays: if crumple did not write it, if it has changed since, \
@@ -217,16 +220,18 @@ impl RunSuite {
             SuiteFormat::Text => output::print_coloured(OutputFormat::Text, &text),
             SuiteFormat::Json | SuiteFormat::Junit => output::print(&text),
         };
-        CliError::gate_first(self.check_expectation(&result), printed)
+        CliError::verdict_first(self.check_expectation(&result), printed)
     }
 
     fn check_expectation(&self, result: &SuiteResult) -> Result<(), CliError> {
         let unpassed = result.unpassed_tests();
         match self.expect {
-            Some(SuiteExpectation::Passed) if !unpassed.is_empty() => Err(CliError::Gate(format!(
-                "expected every test to pass, but these fail: {}",
-                unpassed.join(", ")
-            ))),
+            Some(SuiteExpectation::Passed) if !unpassed.is_empty() => {
+                Err(CliError::Unmet(format!(
+                    "expected every test to pass, but these fail: {}",
+                    unpassed.join(", ")
+                )))
+            }
             _ => Ok(()),
         }
     }

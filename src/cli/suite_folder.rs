@@ -4,15 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use super::output_folder::{EarlierFiles, OutputFolder};
 use super::{CliError, output};
 use crumple_sim::scenario::file;
 use crumple_store::disk::DiskError;
+use crumple_store::output_folder::{EarlierFiles, OutputFolder};
 use crumple_suites::{ControllerResult, SuiteResult};
 
 /// Opens the folder, and reads the listing of an earlier run. Its extension keeps it from being read as a scenario.
 pub(super) fn open(folder: &Path) -> Result<OutputFolder, CliError> {
-    OutputFolder::with_listing(folder, "failures.sha256")
+    Ok(OutputFolder::with_listing(folder, "failures.sha256")?)
 }
 
 /// Writes the scenario of every failed point once, replaces those of the previous run, and lists the files that stay.

@@ -9,7 +9,6 @@ use clap::Args;
 use indicatif::ProgressBar;
 
 use super::global_options::GlobalOptions;
-use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
 use super::preset::TrainingPreset;
 use super::{CliError, args, interrupt, output, progress};
@@ -21,6 +20,7 @@ use crumple_learn::rl::{
     learning_curve, parallel_map, read_finished_trainings, seed_folder,
 };
 use crumple_store::disk;
+use crumple_store::output_folder::{EarlierFiles, OutputFolder};
 use crumple_store::run_folder;
 use crumple_store::study::StudyFolder;
 
@@ -33,24 +33,23 @@ Presets:
   paper      the paper's exact settings: takes many hours, and does not reach the paper's reward
   road       imitates the controller `predictive` in all built-in spaces
 
-The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, `twin_critic = \
-true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and `target_noise = \
-0.2` and `target_noise_limit = 0.5` add noise to target actions. The preset of `crumple retrain` uses TD3. With \
-`[imitation]`, the policy first learns the answers of a built-in controller in the states that it reaches itself \
-(DAgger, Ross et al. 2011). \
-A preset of your own is a file like the built-in ones (schema: crates/learn/src/rl/training.schema.json), with \
-rewards (`[environment]` and `[environment.costs]`), observations (`[environment.observation]`) and spaces \
-(`[[spaces]]`). Policies of other algorithms can be imported (docs/controllers.md).
+The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, \
+`twin_critic = true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and \
+`target_noise = 0.2` and `target_noise_limit = 0.5` add noise to target actions. The preset of `crumple retrain` uses \
+TD3. With `[imitation]`, the policy first learns the answers of a built-in controller in the states that the policy \
+reaches (DAgger, Ross et al. 2011). A preset of your own is a file like the built-in ones (schema: \
+crates/learn/src/rl/training.schema.json), with rewards (`[environment]` and `[environment.costs]`), observations \
+(`[environment.observation]`) and spaces (`[[spaces]]`). Policies of other algorithms can be imported \
+(docs/controllers.md).
 
 Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy on the validation set, a controller for \
 every other command), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained in parallel; each gives the same \
-bytes whatever the number of threads, interrupted and resumed or not. `training.json` and `learning-curve.svg` \
-describe all finished seeds in the folder, which must have the same configuration; --resume with more --episodes \
-continues a finished training. Files are checked before work resumes (see crumple fsck). A training may take 4 GiB \
-of memory for each seed, as estimated from its networks, batches, replay memory and validation set. The exit code is \
-1 if a seed diverges or has no checkpoint better than the untrained network. crumple names such seeds, writes no \
-policy for a seed that learned nothing, and finishes the others. docs/training.md describes the fields of a preset \
-and the training.
+bytes for any number of threads, also after an interruption. `training.json` and `learning-curve.svg` describe all \
+finished seeds in the folder, which must have the same configuration; --resume with more --episodes continues a \
+finished training. Files are checked before work resumes (see crumple fsck). A training may take 4 GiB of memory for \
+each seed, as estimated from its networks, batches, replay memory and validation set. The exit code is 1 if a seed \
+diverges or has no checkpoint better than the untrained network. crumple names such seeds, writes no policy for a seed \
+that learned nothing, and finishes the others. docs/training.md describes the fields of a preset and the training.
 
 Examples:
   crumple train --seed 7
@@ -58,11 +57,11 @@ Examples:
   crumple train --preset road --space traffic=0.5 --space high-risk=0.3 --space wet.toml=0.2
   crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
 pub(super) struct Train {
-    /// Training preset: fast, paper-net, paper or road, or a TOML file like theirs
+    /// Training preset: fast, paper-net, paper or road, or a TOML file of the same form
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: PathBuf,
     /// Draw episodes from this scenario space, built-in or a file, with a weight relative to others (1 by default); may
-    /// be repeated, each space once; replaces the preset's spaces, with all costs counted once
+    /// be repeated, each space once; replaces the preset's spaces, with a `cost_multiplier` of 1
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
     space: Vec<TrainingSpace>,
     /// Train this seed [default: 0]
@@ -71,8 +70,8 @@ pub(super) struct Train {
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = args::whole_number::<u64>(1..=100_000))]
     seeds: Option<u64>,
-    /// Folder for policies, logs and checkpoints, created if missing; `training.sha256` lists the results that every
-    /// command with this folder writes anew
+    /// Folder for policies, logs and checkpoints, created if missing; `training.sha256` lists the files that each
+    /// command with this folder rewrites
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
     out: PathBuf,
     /// Resume from the checkpoints in the folder
@@ -128,7 +127,7 @@ impl Train {
                 format_table(&done, config.evaluation.ranking_draws)
             });
         }
-        CliError::gate_first(failure.map_or_else(|| check_learned(&done), Err), printed)
+        CliError::verdict_first(failure.map_or_else(|| check_learned(&done), Err), printed)
     }
 
     fn refuse_existing_seeds(&self, seeds: &[u64]) -> Result<(), CliError> {
@@ -286,11 +285,11 @@ fn refuse_other_work(out: &Path) -> Result<(), CliError> {
 }
 
 fn check_results_folder(out: &Path) -> Result<(), CliError> {
-    results_folder(out)?.check(&RESULT_FILES)
+    Ok(results_folder(out)?.check(&RESULT_FILES)?)
 }
 
 fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
-    OutputFolder::with_listing(out, "training.sha256")
+    Ok(OutputFolder::with_listing(out, "training.sha256")?)
 }
 
 /// Writes the results of all seeds in the folder, including those of earlier commands.
@@ -337,7 +336,7 @@ fn check_learned(results: &[SeedResult]) -> Result<(), CliError> {
         return Ok(());
     }
     let seeds = seeds.join(", ");
-    Err(CliError::Gate(format!(
+    Err(CliError::Unmet(format!(
         "no checkpoint was better than the untrained network, so no policy was written: seed {seeds}"
     )))
 }
@@ -391,7 +390,7 @@ impl<'a> SeedProgress<'a> {
                     done.round,
                     done.rounds,
                     done.rows,
-                    100.0 * done.contact_share
+                    100.0 * done.collision_share
                 ));
             }
             TrainingEvent::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
@@ -404,7 +403,7 @@ impl<'a> SeedProgress<'a> {
 impl From<TrainingError> for CliError {
     fn from(error: TrainingError) -> Self {
         match error {
-            diverged @ TrainingError::Diverged { .. } => Self::Gate(diverged.to_string()),
+            diverged @ TrainingError::Diverged { .. } => Self::Unmet(diverged.to_string()),
             TrainingError::Disk(error) => error.into(),
             TrainingError::RunFolder(error) => error.into(),
             other => Self::input(other),

@@ -23,10 +23,11 @@ The search simulates each candidate in the same random scenarios. It varies the 
 starts at the defaults, or in the middle of a range that excludes them, and minimises one number. For --objective \
 both this is the sum of:
   - the weighted mean of the collision shares in the spaces
-  - the shares of drives in `traffic` with a collision, with unnecessary hard braking (above 4 m/s2, of which less \
-than 3 m/s2 had a cause), and in which the vehicle is left behind
-  - 0.5 times the excess in `traffic`: of RMS acceleration and of RMS jerk above 1.2 times those of `idm` (relative), \
-and of the mean time gap outside 1.2 to 2.1 s (in seconds)
+  - the shares of drives in `traffic` with a collision, with unnecessary hard braking (above 4 m/s2 where less than 3 \
+m/s2 was justified), and in which the vehicle is left behind
+  - the share of drives in `everyday` with one of these faults or any unnecessary braking, where `idm` has none
+  - 0.5 times the sum of four excesses: in `traffic`, of RMS acceleration and RMS jerk above 1.2 times those of `idm` \
+(relative), and of the mean time gap outside 1.2 to 2.1 s (in seconds); in `everyday`, of RMS jerk, too
 For --objective safety it is the first term.
 
 The five best candidates and the initial settings are then simulated in other random scenarios (the selection set), \
@@ -52,7 +53,7 @@ pub(super) struct Tune {
     #[arg(
         long,
         value_name = "S[=WEIGHT]",
-        default_value = "high-risk",
+        default_value = "followers",
         value_parser = args::parse_weighted_name
     )]
     space: Vec<(String, f64)>,

@@ -5,7 +5,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_exchange::recording::LeaderSelection;
 use crumple_search::falsify::campaign::EvaluationLog;
 use crumple_search::worst_case::AttackObjective;
-use crumple_sim::engine::AfterContact;
+use crumple_sim::engine::AfterCollision;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::PlantKind;
 
@@ -21,16 +21,26 @@ const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
     (EstimatorKind::Truth, "truth", "The true state"),
 ];
 
-const AFTER_COLLISION: &[ArgValue<AfterContact>] = &[
+const AFTER_COLLISION: &[ArgValue<AfterCollision>] = &[
     (
-        AfterContact::Stop,
+        AfterCollision::Stop,
         "stop",
         "End the run at the instant of the collision",
     ),
     (
-        AfterContact::Continue,
+        AfterCollision::Continue,
         "continue",
         "Both vehicles continue together with common momentum, so that a pile-up can be counted",
+    ),
+    (
+        AfterCollision::Hold,
+        "hold",
+        "As continue, but a vehicle that has hit its leader brakes at 6 m/s² to standstill",
+    ),
+    (
+        AfterCollision::Coast,
+        "coast",
+        "As continue, but a vehicle that has hit its leader neither brakes nor accelerates",
     ),
 ];
 
@@ -104,7 +114,7 @@ pub(super) struct AfterCollisionArgs {
         default_value = "stop",
         value_parser = one_of(AFTER_COLLISION)
     )]
-    pub(super) behaviour: AfterContact,
+    pub(super) behaviour: AfterCollision,
 }
 
 /// Returns a clap parser that selects one of `choices` by its name.

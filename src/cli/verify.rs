@@ -7,10 +7,13 @@ use clap::{Args, Subcommand};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
 
+use super::drives::DriveCommand;
 use super::output;
-use super::output_folder::{EarlierFiles, OutputFolder};
 use super::output_format::OutputFormat;
-use super::{CliError, args, exposure, invariant, progress, rare, reach, study, value_enums};
+use super::{
+    CliError, args, exposure, invariant, progress, rare, reach, study, two_sided, value_enums,
+};
+use crumple_evidence::exposure::{DEFAULT_RESAMPLES, DEFAULT_RUNS_PER_RESAMPLE};
 use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{
     CERTIFICATE_FILE, CertificateReport, CountProgress, CountReport, RateConfig, RateFolderError,
@@ -20,6 +23,7 @@ use crumple_measure::Specification;
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::ScenarioSpace;
+use crumple_store::output_folder::{EarlierFiles, OutputFolder};
 
 /// Make claims and write certificates that `crumple check` accepts
 #[derive(Args)]
@@ -31,6 +35,7 @@ pub(super) struct Verify {
 #[derive(Subcommand)]
 enum VerifySubcommand {
     Shield(ShieldCommand),
+    TwoSided(two_sided::TwoSidedCommand),
     Rate(Box<RateCommand>),
     Reach(Box<reach::ReachCommand>),
     Invariant(Box<invariant::InvariantCommand>),
@@ -39,12 +44,12 @@ enum VerifySubcommand {
 /// Certify the safety kernel of a shield, one certificate for each pair of vehicle classes
 #[derive(Args)]
 #[command(after_long_help = "\
-Friction scales both brake limits and the required gaps inversely, so the certificates for a dry road are valid for \
-every road.
+Friction scales both brake limits by one factor, and the required gaps by its inverse, so the certificates for a dry \
+road are valid for every road.
 
-The proofs cover the kernel and, in verify/obligations, the shield's test of an action and its prediction for delay, \
-noise and observation errors, for the functions that drive and in real numbers. A margin covers rounding. It is not \
-proved that noise and an estimator keep their bounds of six standard deviations of the noise.")]
+The proofs cover, in real numbers, the kernel and (in verify/obligations) the shield's own functions: the test of a \
+command, and the prediction for delay, noise and observation errors. A margin covers rounding. crumple assumes, \
+without proof, that noise and estimation errors stay within six standard deviations of the noise.")]
 struct ShieldCommand {
     /// Folder for the certificates, created if missing; `shield.sha256` lists them. crumple replaces only files that it
     /// wrote there and that have not changed
@@ -58,24 +63,32 @@ struct ShieldCommand {
 /// Bound a controller's failure rate, or show that it is lower than another's
 #[derive(Args)]
 #[command(after_long_help = "\
-Before the first run the settings that determine the count (controllers, space, seed, runs, confidence) are written \
-to DIR/registration.json, with their digest on standard error. Random scenarios are counted in order; --resume \
-continues an interrupted count. A run fails if vehicles collide.
+Before the first run, crumple writes the settings that determine the count (controllers, space, seed, runs, \
+confidence) to DIR/registration.json, and their digest to standard error. It counts random scenarios in order; \
+--resume continues an interrupted count. A run fails if vehicles collide.
 
-With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs \
-climb from level to level of the smallest gap. A pilot determines the levels; the estimate is the mean of \
-independent repetitions, with an interval from their spread. The result is an estimate and no bound: it has no \
-certificate, and DIR/rare-estimate.json says so. The pilot and every repetition are written to DIR as they end; \
---resume continues an interrupted estimate, to the same bytes.
+With --rare, crumple uses multilevel splitting to estimate the probability of a failure that is too rare to count: \
+populations of runs pass levels of ever lower smallest gaps. A pilot determines the levels; the estimate is the mean \
+of independent repetitions, with an interval from their spread. The result is an estimate and no bound: it has no \
+certificate, and DIR/rare-estimate.json says so. DIR/failures gets scenario files of about 200 failures, and \
+DIR/rare-failures.json the probability that each stands for: a weighted sample of the failures. The pilot and every \
+repetition are written to DIR as they end; --resume continues an interrupted estimate, to the same bytes.
 
-If the space states the driving time and distance of its episodes (see `crumple fit`), failures are also given per \
-hour and per 1000 km, each with two intervals: one that takes the space for exact, and one with the uncertainty of \
+If the space states the driving time and distance of its episodes (see `crumple fit`), crumple also prints failures \
+per hour and per 1000 km, each with two intervals: one that treats the space as exact, and one with the uncertainty of \
 the data, from --resamples of the episodes (docs/fitting.md).
+
+With --drives the domain is a folder of recorded drives. The controller drives each once; crumple prints collisions \
+and unnecessary braking per hour and per 100 km, with exact 95 % intervals for independent events, and those of the \
+recorded cars. A collision from behind with a vehicle that repeats recorded speeds counts separately, against no \
+controller. There is no certificate, because the drives are not drawn at random. A folder may have 10 000 files and 64 \
+MiB.
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
   crumple verify rate --controller policy --rate-below 1e-4 --failures 3
-  crumple verify rate --controller policy --space high-risk --rare")]
+  crumple verify rate --controller policy --space high-risk --rare
+  crumple verify rate --controller road --drives drives")]
 struct RateCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or its file
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
@@ -86,11 +99,23 @@ struct RateCommand {
     /// Scenario space of the runs (see `crumple list spaces`), or its file
     #[arg(long, value_name = "S", default_value = "paper")]
     space: String,
+    /// Count on the recorded drives of a folder (see `crumple import --whole`) instead of random scenarios: each drive
+    /// once, without certificate
+    #[arg(
+        long,
+        value_name = "FOLDER",
+        conflicts_with_all = [
+            "space", "runs", "rate_below", "rare", "against", "confidence", "seed", "resamples", "resample_runs", "out",
+            "resume"
+        ]
+    )]
+    drives: Option<PathBuf>,
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
-    #[arg(long, value_name = "N", required_unless_present_any = ["rate_below", "rare"])]
+    #[arg(long, value_name = "N", required_unless_present_any = ["rate_below", "rare", "drives"])]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000_000))]
     runs: Option<u64>,
-    /// Failure rate to show, above 0 and below 1: count the fewest runs that suffice if at most --failures of them fail
+    /// Bound of the failure rate to show, above 0 and below 1: count the fewest runs that suffice if at most --failures
+    /// of them fail
     #[arg(long, value_name = "P", conflicts_with_all = ["runs", "against"], value_parser = args::number)]
     rate_below: Option<f64>,
     /// With --rate-below: failures among the runs that the claim tolerates, 0 to 1 000 000 [default: 0]
@@ -139,6 +164,7 @@ impl Verify {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         match self.claim {
             VerifySubcommand::Shield(shield) => shield.run(),
+            VerifySubcommand::TwoSided(command) => command.run(global),
             VerifySubcommand::Rate(rate) => rate.run(global),
             VerifySubcommand::Reach(reach) => reach.run(global.quiet),
             VerifySubcommand::Invariant(invariant) => invariant.run(global),
@@ -159,7 +185,7 @@ impl ShieldCommand {
                 certificate,
                 Controllers::default(),
             );
-            text += &verdict_line(&report)?;
+            text += &accepted_line(&report)?;
             reports.push(report);
             let contents = serde_json::to_string_pretty(certificate).map_err(CliError::input)?;
             files.push((file, (contents + "\n").into_bytes()));
@@ -176,6 +202,17 @@ impl ShieldCommand {
 impl RateCommand {
     fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
+        if let Some(folder) = &self.drives {
+            self.check_options_of_count()?;
+            let command = DriveCommand {
+                folder,
+                controller: self.controller,
+                estimator: self.estimator,
+                format: self.format,
+                quiet,
+            };
+            return command.count(controllers);
+        }
         let space = args::load_space("--space", &self.space, controllers)?;
         self.check_resampling(&space)?;
         let Some(runs) = self.requested_runs()? else {
@@ -191,8 +228,8 @@ impl RateCommand {
             ..RateConfig::new(self.controller, space, runs)
         })?
         .with_resampling(
-            self.resamples.unwrap_or(200),
-            self.resample_runs.unwrap_or(500),
+            self.resamples.unwrap_or(DEFAULT_RESAMPLES),
+            self.resample_runs.unwrap_or(DEFAULT_RUNS_PER_RESAMPLE),
         );
         let study = study::open(&plan, &out, self.resume, quiet)?;
         let path = study.path(CERTIFICATE_FILE);
@@ -209,9 +246,9 @@ impl RateCommand {
         let report = CountReport::new(&plan, &counted, out, path);
         // Print the counts even if the claim was rejected.
         if let Err(rejection) = &counted.certificate {
-            let rejected = CliError::Gate(report.describe_rejection(rejection));
+            let rejected = CliError::Unmet(report.describe_rejection(rejection));
             let printed = output::print_result(self.format, &report, || report.to_text());
-            return CliError::gate_first(Err(rejected), printed);
+            return CliError::verdict_first(Err(rejected), printed);
         }
         let bar = progress::counter("resampling", quiet);
         let exposed = progress::show(&bar, |observer| {
@@ -228,12 +265,14 @@ impl RateCommand {
             (None, Some(rate)) => required_runs(rate, self.confidence, self.failures.unwrap_or(0))
                 .map(Some)
                 .map_err(|error| {
-                    let option = if let SampleSizeError::Confidence { .. } = error {
-                        "--"
-                    } else {
-                        "--rate-below: "
-                    };
-                    CliError::Input(format!("{option}{error}"))
+                    let message = error.to_string();
+                    CliError::Input(match error {
+                        SampleSizeError::Confidence { .. } => format!("--{message}"),
+                        _ => {
+                            let problem = message.strip_prefix("rate: ").unwrap_or(&message);
+                            format!("--rate-below: {problem}")
+                        }
+                    })
                 }),
             (None, None) => Ok(None),
         }
@@ -262,7 +301,7 @@ impl RateCommand {
 
     fn estimate(self, space: ScenarioSpace, quiet: bool) -> Result<(), CliError> {
         let specification = match &self.spec {
-            None => Specification::NoContact,
+            None => Specification::NoCollision,
             Some(text) => {
                 let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
                 args::parse_specification(text, &nominal, quiet)?
@@ -311,14 +350,12 @@ impl RateCommand {
     }
 }
 
-/// Formats the accepted claim in a line; a rejection is a failed gate.
-fn verdict_line(report: &CertificateReport<'_>) -> Result<String, CliError> {
-    match &report.accepted {
-        Ok(accepted) => Ok(format!("{}: accepted: {accepted}\n", report.path)),
-        Err(rejection) => Err(CliError::Gate(format!(
-            "{}: rejected: {rejection}",
-            report.path
-        ))),
+/// Formats the accepted claim in a line; a rejection is an error.
+pub(super) fn accepted_line(report: &CertificateReport<'_>) -> Result<String, CliError> {
+    let verdict = report.verdict_line(None);
+    match report.accepted {
+        Ok(_) => Ok(verdict),
+        Err(_) => Err(CliError::Unmet(verdict.trim_end().to_owned())),
     }
 }
 

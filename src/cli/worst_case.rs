@@ -10,8 +10,8 @@ use super::global_options::GlobalOptions;
 use super::{CliError, args, progress, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_search::worst_case::{
-    AttackError, AttackObjective, AttackReport, Envelope, SensorAttackReport, attack,
-    attack_sensors, max_sensor_simulations,
+    AttackError, AttackObjective, AttackReport, Envelope, MAX_SIMULATIONS, SensorAttackReport,
+    attack, attack_sensors, max_sensor_simulations,
 };
 use crumple_sim::engine::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
@@ -23,7 +23,7 @@ use crumple_store::disk::StagedFiles;
 #[command(after_long_help = "\
 The attack replaces the leader's script: braking only, within --max-brake and --jerk. The result is the best profile \
 found, in steps of 0.1 s: crumple simulates pulses and ramps and improves the best of them by sequential convex \
-programming along rollouts. crumple simulates the profile before it reports it, with the prediction of the last \
+programming along rollouts. crumple simulates this profile, and reports it with the prediction of the last convex \
 program.
 
 --budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 \
@@ -38,7 +38,7 @@ smaller one between the simulated sizes may exist. The mildest fault has the sma
 most 18 581 simulations. --out writes the scenario with the mildest fault that causes a collision, or else unnecessary \
 braking.
 
-A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicles times \
+A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicle \
 steps, and all simulations together 20 000 million, which takes some minutes.
 
 Examples:
@@ -72,7 +72,7 @@ pub(super) struct WorstCase {
     jerk: Option<f64>,
     /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below) [default:
     /// 3000]
-    #[arg(long, value_name = "N", value_parser = args::whole_number::<u32>(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number::<u32>(1..=u64::from(MAX_SIMULATIONS)))]
     budget: Option<u32>,
     #[command(flatten)]
     finding: ArtifactArgs,

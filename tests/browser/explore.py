@@ -213,7 +213,7 @@ def measure(browser, address):
     browser.keys("#slide-speed-2", "\ue010")
     assert final_verdict(browser)["verdict"] == "collision"
     browser.click("#reset")
-    assert final_verdict(browser)["contact"] == before["contact"]
+    assert final_verdict(browser)["collision"] == before["collision"]
     browser.click("#avoid")
     answer = browser.wait("an answer", "return document.getElementById('avoided').dataset.verdict")
     assert answer == "avoidable", answer
@@ -257,10 +257,10 @@ def find_and_download(browser, address, folder, run):
     file = folder / "dragged-a-failure.toml"
     file.write_text(text)
     repeated = json.loads(run("simulate", str(file), "--controller", "match-leader", "--format", "json"))
-    contact = repeated["outcome"].get("time_s")
-    expected = None if shown.get("contact") is None else float(shown["contact"])
-    assert contact == expected, (repeated["outcome"], shown)
-    print(f"downloaded and repeated: contact at {contact} s in both")
+    collision = repeated["outcome"].get("time_s")
+    expected = None if shown.get("collision") is None else float(shown["collision"])
+    assert collision == expected, (repeated["outcome"], shown)
+    print(f"downloaded and repeated: collision at {collision} s in both")
 
 
 def show(browser, address, folder):

@@ -10,7 +10,7 @@ use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
     AssessConfig, AssessmentGate, AssessmentPlan, AssessmentReport, CertificateStatus,
-    CertificateSubject, ClaimStatus, EvidenceCache, Strength, assess,
+    CertificateSubject, ClaimStatus, EvidenceCache, GateConfig, Strength, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::observation::EstimatorKind;
@@ -18,6 +18,8 @@ use crumple_sim::policy::Policy;
 use crumple_spaces::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_verify::{Certificate, Statement};
 
+/// Returns a small configuration, without everyday traffic: with it, an assessment also surveys the gains of each
+/// controller, which takes longer than everything else.
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
     config.controllers = controllers.iter().map(|&name| name.to_owned()).collect();
@@ -29,19 +31,18 @@ pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
         config.draws,
         config.rates.runs,
         config.everyday_draws,
-    ) = (false, 40, 0, 4);
+    ) = (false, 40, 0, 0);
     config.certificates = Some(Vec::new());
     config
 }
 
 pub(crate) fn run(config: AssessConfig, folder: &Path) -> AssessmentReport {
-    assess(
-        &AssessmentPlan::new(config, [], folder).expect("valid"),
-        &EvidenceCache::disabled(),
-        None,
-        &Quiet,
-    )
-    .expect("runs")
+    run_with_cache(config, folder, &EvidenceCache::disabled())
+}
+
+fn run_with_cache(config: AssessConfig, folder: &Path, cache: &EvidenceCache) -> AssessmentReport {
+    let plan = AssessmentPlan::new(config, [], folder).expect("valid");
+    assess(&plan, cache, None, &Quiet).expect("runs")
 }
 
 fn statuses(assessment: &AssessmentReport) -> Vec<&ClaimStatus> {
@@ -106,8 +107,10 @@ fn foreign_certificates_change_no_claim() {
     fs::create_dir(&there).expect("made");
     fs::write(there.join("own.safetensors"), Policy::reference_bytes()).expect("writes");
     let (truth, kalman) = (EstimatorKind::Truth, EstimatorKind::Kalman);
-    let changed = |controller: &str, entry: &str, value: &str| {
-        let mut certificate = count_certificate(controller, None, &paper, kalman, folder.path());
+    let genuine =
+        |controller: &str| count_certificate(controller, None, &paper, kalman, folder.path());
+    let own_certificate = genuine("own.safetensors");
+    let changed = |mut certificate: Certificate, entry: &str, value: &str| {
         let Statement::Rate(rate) = &mut certificate.statement else {
             panic!("a rate")
         };
@@ -142,17 +145,21 @@ fn foreign_certificates_change_no_claim() {
             kalman,
             folder.path(),
         ),
-        changed("own.safetensors", "crumple", "0.0.9"),
-        changed("idm", "controller", "own.safetensors"),
+        changed(own_certificate.clone(), "crumple", "0.0.9"),
+        changed(genuine("idm"), "controller", "own.safetensors"),
     ];
     let controllers = ["baseline", "own.safetensors"];
-    let bare = run(config(&controllers), folder.path());
+    let mut without = config(&controllers);
+    without.everyday_draws = 4;
+    // Assessments with other certificates share all other evidence.
+    let cache = EvidenceCache::open(&folder.path().join("cache"), "tests", false).expect("a cache");
+    let bare = run_with_cache(without.clone(), folder.path(), &cache);
     let assess_with = |certificate: &Certificate| {
         let path = folder.path().join("given.json");
         fs::write(&path, serde_json::to_string(certificate).expect("JSON")).expect("writes");
-        let mut with = config(&controllers);
+        let mut with = without.clone();
         with.certificates = Some(vec![path]);
-        run(with, folder.path())
+        run_with_cache(with, folder.path(), &cache)
     };
     for (place, certificate) in hostile.iter().enumerate() {
         let with = assess_with(certificate);
@@ -173,13 +180,7 @@ fn foreign_certificates_change_no_claim() {
         let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { reason } if !reason.is_empty());
         assert!(is_foreign || place == 0, "{place}: {:?}", proof.subject);
     }
-    let with = assess_with(&count_certificate(
-        "own.safetensors",
-        None,
-        &paper,
-        kalman,
-        folder.path(),
-    ));
+    let with = assess_with(&own_certificate);
     assert!(
         matches!(rate_strength(&bare, 1), Strength::Undecided { .. }),
         "{:?}",
@@ -289,7 +290,8 @@ fn every_command_of_a_report_runs_in_its_folder() {
     ) = (5, 5, vec!["episodes".into()], None);
     let assessment = run(asked, folder.path());
     let report = folder.path().join("the report");
-    for (name, contents) in assessment.files().expect("renders") {
+    let files = assessment.files().expect("renders");
+    for (name, contents) in &files {
         let path = report.join(name);
         fs::create_dir_all(path.parent().expect("below")).expect("made");
         fs::write(path, contents).expect("writes");
@@ -342,12 +344,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
         );
     }
     // The escape of an avoidable failure is a file of the report.
-    let own: Vec<String> = assessment
-        .files()
-        .expect("renders")
-        .into_iter()
-        .map(|(name, _)| name)
-        .collect();
+    let own: Vec<&String> = files.iter().map(|(name, _)| name).collect();
     let paths: Vec<_> = assessment
         .results
         .searches
@@ -370,7 +367,7 @@ fn every_command_of_a_report_runs_in_its_folder() {
             is_avoidable.then(|| beside.clone())
         );
         assert_eq!(
-            (report.join(&beside).exists(), own.contains(&beside)),
+            (report.join(&beside).exists(), own.contains(&&beside)),
             (is_avoidable, is_avoidable),
             "{beside}"
         );
@@ -381,7 +378,6 @@ fn every_command_of_a_report_runs_in_its_folder() {
     shell("sh replay.sh");
     // A replaced failure file is still a failure, and the listing detects the change.
     shell("crumple fsck .");
-    let files = assessment.files().expect("renders");
     let counterexample = |(name, _): &&(String, Vec<u8>)| {
         name.starts_with("counterexamples/") && name.ends_with(".toml")
     };
@@ -421,7 +417,7 @@ done
 "#;
 
 /// Returns a space in which a vehicle follows a leader at 20 m/s less `closing_mps`, with a gap of 36 to 40 m.
-fn approach_space(name: &str, closing_mps: f64) -> String {
+pub(crate) fn approach_space(name: &str, closing_mps: f64) -> String {
     let leader_mps = 20.0 - closing_mps;
     format!(
         "version = 1\nname = \"{name}\"\nabout = \"An approach.\"\n[base]\nversion = 1\nname = \"{name}\"\nabout = \
@@ -471,11 +467,34 @@ fn a_fresh_report_passes_its_own_checks() {
         "older.json",
         serde_json::to_string(&older).expect("JSON").as_bytes(),
     );
+    write(
+        "tuned.toml",
+        b"version = 1\nbuilt_in = \"acc-aeb\"\n[settings]\nttc_s = 2.0\n",
+    );
+    // Without a C compiler there is no FMU.
+    #[cfg(unix)]
+    let fmu = crate::fmus::example_fmu_folder();
+    #[cfg(not(unix))]
+    let fmu: Option<tempfile::TempDir> = None;
+    if let Some(fmu) = &fmu {
+        let copied = fs::copy(
+            fmu.path().join("follower.fmu"),
+            folder.path().join("follower.fmu"),
+        );
+        copied.expect("copied");
+    }
+    let more = fmu.map_or("", |_| ", \"follower.fmu\"");
     let config = "version = 1\npaper = false\ncontrollers = [\"keeps.toml\", \"own.safetensors\", \"ppo.zip\", \
-                  \"shield:own.safetensors\", \"idm\"]\nsubject = \"own.safetensors\"\ndistributions = \
+                  \"shield:own.safetensors\", \"idm\", \"tuned.toml\"MORE]\nsubject = \
+                  \"own.safetensors\"\ndistributions = \
                   [\"barrier.toml\", \"calm.toml\"]\ndraws = 5\neveryday_draws = 0\nrates = { runs = 40, confidence = \
-                  0.99 }\nsearch = { spaces = [\"barrier.toml\"], budget = 5 }\ncertificates = [\"older.json\"]\n";
-    write("a.toml", config.as_bytes());
+                  0.99 }\nsearch = { spaces = [\"barrier.toml\"], budget = 5 }\ncertificates = \
+                  [\"older.json\"]\n[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \
+                  \"own.safetensors\"\nthan = \"keeps.toml\"\nspace = \"calm.toml\"\nrequirement = \
+                  [\"REQ-1\", \"REQ-2\"]\n[[gates]]\nrequire = \
+                  \"rate-not-above\"\ncontroller = \"own.safetensors\"\nthan = \"keeps.toml\"\nspace = \
+                  \"barrier.toml\"\nrequirement = [\"REQ-2\"]\n";
+    write("a.toml", config.replace("MORE", more).as_bytes());
     let program = Path::new(env!("CARGO_BIN_EXE_crumple"));
     let path = format!(
         "{}:{}",
@@ -574,6 +593,104 @@ fn a_fresh_report_passes_its_own_checks() {
         .iter()
         .for_each(|line| drop(shell(&format!("crumple {line}"), &moved)));
     shell("sh replay.sh", &moved);
+    check_identity(&moved, &evidence, &shell(check, &moved));
+    check_gates(&moved, &evidence);
+
+    // The configuration in the folder repeats the report.
+    let repeat = commands_in(&markdown, "crumple assess assessment.toml");
+    let command = repeat.first().expect("the report says how to repeat it");
+    shell(command, &moved);
+    let repeated = fs::read_to_string(elsewhere.path().join("repeated/assessment.json"));
+    let repeated: serde_json::Value =
+        serde_json::from_str(&repeated.expect("written")).expect("JSON");
+    let words = |evidence: &serde_json::Value| -> Vec<String> {
+        let rows = evidence["summary"]["claims"].as_array().expect("claims");
+        rows.iter()
+            .flat_map(|row| row["statuses"].as_array().expect("statuses"))
+            .map(|status| status["strength"].to_string())
+            .collect()
+    };
+    assert_eq!(words(&repeated), words(&evidence));
+}
+
+/// Each form of a report states its identity, each certificate has one hash, and captions have no empty part.
+fn check_identity(report: &Path, evidence: &serde_json::Value, checked: &str) {
+    let text = |name: &str| fs::read_to_string(report.join(name)).expect("written");
+    let identity = &evidence["identity"];
+    let hash = identity["subject_sha256"].as_str().expect("a hash");
+    let configuration = identity["configuration_sha256"].as_str().expect("a hash");
+    assert_eq!(
+        crumple_core::digest::sha256(text("assessment.toml")),
+        configuration
+    );
+    let date = evidence["provenance"]["run_info"]["at"]
+        .as_str()
+        .expect("a date");
+    let version = concat!("crumple ", env!("CARGO_PKG_VERSION"));
+    for form in [
+        "assessment.html",
+        "assessment.md",
+        "assessment.junit.xml",
+        "assessment.gsn.yaml",
+    ] {
+        let text = text(form);
+        for part in ["own.safetensors", hash, configuration, date] {
+            assert!(text.contains(part), "{form} lacks {part}");
+        }
+        // Lines of Markdown are wrapped.
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let version_is_there = [" ", ": ", ": `"]
+            .iter()
+            .any(|between| words.contains(&version.replace(' ', between)));
+        assert!(version_is_there || form == "assessment.junit.xml", "{form}");
+    }
+    let html = text("assessment.html");
+    let title = format!(
+        "<title>Assessment of own.safetensors, {}, {version}",
+        &date[..10]
+    );
+    assert!(html.contains(&title), "{title}");
+    assert!(
+        !html.contains(" · </figcaption>"),
+        "an empty part of a caption"
+    );
+    let certificates = evidence["proofs"]["certificates"]
+        .as_array()
+        .expect("a list");
+    for proof in certificates.iter().filter(|proof| !proof["file"].is_null()) {
+        let hash = proof["sha256"].as_str().expect("a hash");
+        assert!(
+            checked.contains(hash) && html.contains(hash) && text("assessment.md").contains(hash),
+            "{proof}"
+        );
+    }
+}
+
+/// The folder has each accepted certificate, gates use counted runs, and requirements are in JUnit.
+fn check_gates(report: &Path, evidence: &serde_json::Value) {
+    let gates = evidence["summary"]["gates"].as_array().expect("gates");
+    let files = fs::read_dir(report.join("certificates")).expect("a folder");
+    let files = files
+        .map(|entry| entry.expect("readable").path())
+        .filter(|path| path.extension().is_some_and(|ending| ending == "json"))
+        .count();
+    let certificates = evidence["proofs"]["certificates"]
+        .as_array()
+        .expect("a list");
+    let is_accepted = |proof: &&serde_json::Value| proof["status"]["kind"] == "accepted";
+    assert_eq!(files, certificates.iter().filter(is_accepted).count());
+    let counted = gates[1]["reason"].as_str().expect("a reason");
+    assert!(
+        counted.starts_with("of the same 40 counted runs"),
+        "{counted}"
+    );
+    let junit = fs::read_to_string(report.join("assessment.junit.xml")).expect("written");
+    for property in [
+        r#"<property name="FullyVerifies" value="REQ-1"/>"#,
+        r#"<property name="PartiallyVerifies" value="REQ-2"/>"#,
+    ] {
+        assert!(junit.contains(property), "{junit}");
+    }
 }
 
 /// A custom space may have another name in the configuration than in its file.
@@ -592,17 +709,22 @@ fn gates_find_the_draws_of_own_spaces() {
     );
     fs::write(folder.path().join("of mine.toml"), text).expect("writes");
     let space = || Some("of mine.toml".to_owned());
-    let rate = |controller: &str, percent| AssessmentGate::RateAtMost {
-        controller: controller.into(),
-        percent,
-        space: space(),
+    let rate = |controller: &str, percent| {
+        GateConfig::from(AssessmentGate::RateAtMost {
+            controller: controller.into(),
+            percent,
+            space: space(),
+        })
     };
-    let fewer = |controller: &str, than: &str| AssessmentGate::RateNotAbove {
-        controller: controller.into(),
-        than: than.into(),
-        space: space(),
+    let fewer = |controller: &str, than: &str| {
+        GateConfig::from(AssessmentGate::RateNotAbove {
+            controller: controller.into(),
+            than: than.into(),
+            space: space(),
+        })
     };
     let mut asked = config(&["match-leader", "full-throttle"]);
+    asked.everyday_draws = 4;
     asked.distributions = Some(vec!["of mine.toml".to_owned()]);
     asked.gates = vec![
         rate("full-throttle", 100.0),
@@ -618,6 +740,17 @@ fn gates_find_the_draws_of_own_spaces() {
         .map(|gate| gate.holds)
         .collect();
     assert_eq!(holds, [true, false, true, false]);
+    // A space has one name in gates and claims, and each gate names its claim.
+    for gate in &assessment.summary.gates {
+        assert!(gate.gate.contains("`mine`"), "{}", gate.gate);
+        // There is no claim that the first controller fails less often than another one.
+        match &gate.indicator.claim {
+            Some(claim) => assert!(claim.contains("`mine`"), "{claim}"),
+            None => assert!(gate.gate.starts_with("match-leader: no more"), "{gate:#?}"),
+        }
+        let value = gate.indicator.value.expect("a value");
+        assert_eq!(gate.holds, value <= gate.indicator.threshold, "{gate:#?}");
+    }
     let explanation = |name: &str| {
         assessment
             .summary
@@ -653,14 +786,17 @@ fn gates_on_spaces_look_at_random_scenarios() {
     let mut asked = config(&["idm", "full-throttle"]);
     asked.everyday_draws = 20;
     asked.scenarios = vec!["recorded.toml".into()];
-    let in_space = |controller: &str, space: &str| AssessmentGate::NoCollisionInSpace {
-        controller: controller.to_owned(),
-        space: space.to_owned(),
+    let in_space = |controller: &str, space: &str| {
+        GateConfig::from(AssessmentGate::NoCollisionInSpace {
+            controller: controller.to_owned(),
+            space: space.to_owned(),
+        })
     };
     asked.gates = vec![
         AssessmentGate::NoCollisionInScenarioFiles {
             controller: "full-throttle".to_owned(),
-        },
+        }
+        .into(),
         in_space("full-throttle", "traffic"),
         in_space("full-throttle", "high-risk"),
         in_space("full-throttle", "paper"),
@@ -768,11 +904,14 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
     asked.search.spaces = Some(vec!["others.toml".to_owned()]);
     (asked.search.budget, asked.everyday_draws) = (20, 0);
     let (controller, than) = ("idm".to_owned(), "full-throttle".to_owned());
-    asked.gates = vec![AssessmentGate::RateNotAbove {
-        controller,
-        than,
-        space: None,
-    }];
+    asked.gates = vec![
+        AssessmentGate::RateNotAbove {
+            controller,
+            than,
+            space: None,
+        }
+        .into(),
+    ];
     let assessment = run(asked, folder.path());
     let message = |row: &str| -> Vec<&Strength> {
         let rows = assessment
@@ -787,14 +926,14 @@ fn runs_that_others_end_say_nothing_of_a_controller() {
         assert!(
             message(row)
                 .iter()
-                .all(|strength| **strength == Strength::Untried),
+                .all(|strength| matches!(strength, Strength::NotShown | Strength::Untried)),
             "{row}: {:?}",
             message(row)
         );
     }
     let undecided = |strength: &&&Strength| matches!(strength, Strength::Undecided { .. });
     assert_eq!(
-        message("collision rate at most")
+        message("failure rate at most")
             .iter()
             .filter(undecided)
             .count(),
@@ -893,7 +1032,7 @@ fn a_count_in_vain_is_not_outweighed() {
     let path = folder.path().join("forged.json");
     fs::write(&path, serde_json::to_string(&forged).expect("JSON")).expect("writes");
     let mut asked = config(&["idm", "own.safetensors"]);
-    (asked.rates.runs, asked.rates.confidence) = (4000, 0.999);
+    (asked.rates.runs, asked.rates.confidence) = (2000, 0.999);
     asked.certificates = Some(vec![path]);
     let assessment = run(asked, folder.path());
     let row = assessment
@@ -905,7 +1044,7 @@ fn a_count_in_vain_is_not_outweighed() {
     assert!(
         matches!(
             status.strength,
-            Strength::NotShownByCounting { runs: 4000, .. }
+            Strength::NotShownByCounting { runs: 2000, .. }
         ),
         "{status:?}"
     );

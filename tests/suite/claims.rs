@@ -28,8 +28,8 @@ fn subject() -> impl Strategy<Value = Subject> {
 
 fn property() -> impl Strategy<Value = Property> {
     prop_oneof![
-        Just(Property::NoContact),
-        Just(Property::NoContactAhead),
+        Just(Property::NoCollision),
+        Just(Property::NoCollisionAhead),
         Just(Property::FailureRate),
         (0..3_u8).prop_map(|percent| Property::RateAtMost {
             percent: Rounded::new(f64::from(percent))
@@ -74,6 +74,7 @@ fn strength() -> impl Strategy<Value = Strength> {
     prop_oneof![
         Just(Strength::Proved { certificates: 1 }),
         (1..9_u64).prop_map(|runs| Strength::Tested { runs }),
+        (1..9_u64).prop_map(|undecided| Strength::PartlyTested { undecided, runs: 9 }),
         between,
         (1..3_u64).prop_map(move |runs| Strength::Counted {
             confidence_percent,
@@ -108,6 +109,7 @@ fn strength() -> impl Strategy<Value = Strength> {
             largest: Rounded::new(largest),
             points: 9
         }),
+        Just(Strength::NotShown),
         Just(Strength::Untried),
     ]
 }
@@ -130,8 +132,8 @@ fn evidence() -> impl Strategy<Value = Evidence> {
 
 /// Levels of a claim: refuted, no evidence, tested, holds often, always.
 fn strength_level(text: &Value) -> u8 {
-    match text["strength"].as_str().expect("a strength") {
-        "refuted" | "found" | "defeated" | "exceeded" | "contradicted" => 0,
+    match text["basis"].as_str().expect("a basis") {
+        "refuted" | "falsified" | "exceeded" | "contradicted" => 0,
         "unanswered" if text["refutes"] == true || text["failures"].as_u64() > Some(0) => 0,
         "compared" if text["own"].as_u64() > text["other"].as_u64() => 0,
         "compared" if text["own"].as_u64() < text["other"].as_u64() => 2,
@@ -143,12 +145,45 @@ fn strength_level(text: &Value) -> u8 {
     }
 }
 
+proptest! {
+    #![proptest_config(crumple_cases::with_cases(1024))]
+
+    /// JSON has the word of each strength, and files of 0.3.0, whose `strength` is the basis, are still read.
+    #[test]
+    fn json_has_the_word_of_a_strength_and_reads_its_old_form(strength in strength()) {
+        let json = serde_json::to_value(&strength).expect("a strength has a JSON form");
+        prop_assert_eq!(&json["strength"], &serde_json::to_value(strength.level()).expect("a word"));
+        let expected: &[&str] = match strength_level(&json) {
+            0 => &["refuted"],
+            1 if json["basis"] == "between" => &["bounded"],
+            1 => &["not_shown", "not_examined"],
+            2 => &["tested"],
+            3 if json["basis"] == "partly_proved" => &["not_shown"],
+            3 => &["bounded"],
+            _ => &["proved"],
+        };
+        prop_assert!(expected.contains(&json["strength"].as_str().unwrap_or_default()), "{}", json);
+        let mut old = json.clone();
+        let fields = old.as_object_mut().expect("an object");
+        let kind = fields.remove("basis").expect("a basis");
+        fields.insert("strength".to_owned(), kind);
+        for form in [json, old] {
+            let read: Strength = serde_json::from_value(form).expect("both forms are read");
+            prop_assert_eq!(&read, &strength);
+        }
+    }
+}
+
 /// Computes the highest level that evidence allows, from the rules that the report prints.
 fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     let same = |a: &Value, b: &Value| a["sha256"] == b["sha256"];
     let about_runs = |p: &Value| {
-        ["no_contact", "no_contact_ahead", "no_unnecessary_braking"]
-            .contains(&p["kind"].as_str().unwrap())
+        [
+            "no_collision",
+            "no_collision_ahead",
+            "no_unnecessary_braking",
+        ]
+        .contains(&p["kind"].as_str().unwrap())
     };
     let same_property = |a: &Value, b: &Value| {
         a["kind"] == b["kind"]
@@ -180,11 +215,11 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             false => a["kind"] == b["kind"] && within(a, b),
         };
     let stronger = |p: &Value, q: &Value| {
-        same_property(p, q) || (p["kind"] == "no_contact" && q["kind"] == "no_contact_ahead")
+        same_property(p, q) || (p["kind"] == "no_collision" && q["kind"] == "no_collision_ahead")
     };
     // The registration of a count, and its evidence against the claim; the largest decides.
     let fixed = |one: &Value| {
-        let against = match one["strength"].as_str() {
+        let against = match one["basis"].as_str() {
             Some("counted") => 0.0,
             Some("not_shown_by_counting") => 100.0,
             _ => one["upper_percent"].as_f64().unwrap(),
@@ -205,7 +240,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
         let own = &one["claim"];
         let is_rate = own["property"]["kind"] == "failure_rate"
             && claim["property"]["kind"] == "rate_at_most";
-        let is_counted = match one["strength"].as_str() {
+        let is_counted = match one["basis"].as_str() {
             Some("between") => is_rate,
             Some("counted" | "not_shown_by_counting") => {
                 same_property(&own["property"], &claim["property"])
@@ -236,7 +271,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
             !counts(part) || decides(part)
         } else if p["kind"] == "failure_rate"
             && q["kind"] == "rate_at_most"
-            && part["strength"] == "between"
+            && part["basis"] == "between"
             && equal(d, e)
         {
             let at_most = q["percent"].as_f64().unwrap();
@@ -271,7 +306,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
     // Disjoint bounds on part rate contradict each other, regardless of what each decides.
     let mut meet = (0.0, 100.0);
     for part in evidence.iter().filter(|part| {
-        part["strength"] == "between" && part["claim"]["property"]["kind"] == "failure_rate"
+        part["basis"] == "between" && part["claim"]["property"]["kind"] == "failure_rate"
     }) {
         let own = &part["claim"];
         if has_subject(own) && equal(&own["domain"], &claim["domain"]) {

@@ -105,20 +105,20 @@ proptest! {
         fails_at in prop::collection::vec(0..1200_usize, 1..9),
         answer in prop_oneof![Just(Ok(f64::NAN)), Just(Ok(f64::NEG_INFINITY)), Just(Err(died_failure()))],
         estimator in prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)],
-        after_contact in crate::generate::any_after_contact(),
+        after_collision in crate::generate::any_after_collision(),
         shielded in any::<bool>(),
     ) {
         let scenario = all_under_test_scenario();
         let kind = |&fails_at: &usize| {
             let controller = FailingController::new(fails_at, answer.clone()).into_kind();
             let settings = ShieldSettings::default();
-            if shielded { ShieldedSource { controller, settings }.into_source() } else { controller }
+            if shielded { ShieldedSource { controller, settings: settings.into() }.into_source() } else { controller }
         };
         let runs: Vec<_> = fails_at
             .iter()
             .map(|fails_at| {
                 let options = RunOptions::new(kind(fails_at)).with_estimator(estimator);
-                Run::new(&scenario, options.with_after_contact(after_contact)).unwrap()
+                Run::new(&scenario, options.with_after_collision(after_collision)).unwrap()
             })
             .collect();
         let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
@@ -132,7 +132,7 @@ proptest! {
                     prop_assert!((end_s - fails_at as f64 * 0.01).abs() < 1e-9, "{} {}", end_s, fails_at);
                     prop_assert_eq!(failure, &answer.clone().err().unwrap_or(ControllerFailure::NotFinite));
                 }
-                Outcome::Collision(contact) => prop_assert!(contact.time_s <= fails_at as f64 * 0.01),
+                Outcome::Collision(collision) => prop_assert!(collision.time_s <= fails_at as f64 * 0.01),
                 Outcome::NoCollision => prop_assert!(fails_at as f64 * 0.01 >= scenario.spec().duration_s),
             }
             prop_assert!(trace.time_s.is_sorted_by(|before, after| before < after));
@@ -237,7 +237,7 @@ fn a_campaign_finds_it_keeps_it_and_goes_on_by_identity() {
     let counterexample = &summary.counterexamples[0];
     assert_eq!(counterexample.kind, "the controller of vehicle 1 fails");
     assert_eq!(
-        (counterexample.robustness, counterexample.contact_time_s),
+        (counterexample.robustness, counterexample.collision_time_s),
         (f64::NEG_INFINITY, None)
     );
     assert!(
@@ -289,7 +289,7 @@ fn an_assessment_names_the_failed_controller_and_the_time() {
         config.search.budget,
         config.rates.runs,
         config.everyday_draws,
-    ) = (20, 5, 0, 4);
+    ) = (20, 5, 0, 0);
     (config.search.spaces, config.certificates) =
         (Some(vec!["paper".to_owned()]), Some(Vec::new()));
     config.distributions = Some(vec!["paper".to_owned()]);

@@ -1,10 +1,17 @@
 //! Properties of every built-in controller for any observation.
 
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crumple_controllers::{Controllers, find_for_user};
 use crumple_measure::ttc_s;
 use crumple_sim::control::{
-    AebSettings, Baseline, BuiltIn, BuiltInController, Controller, ControllerSource, Ego, Role,
+    AebSettings, Baseline, BuiltIn, BuiltInController, CRUISE_PRESETS, Controller,
+    ControllerSource, Ego, Role,
 };
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use crumple_sim::observation::{Neighbour, Observation};
+use crumple_sim::scenario::file;
 use proptest::prelude::*;
 
 use crate::generate::{any_controller, with_cases};
@@ -96,6 +103,158 @@ fn every_rule_is_generated() {
             crumple_testing::generator::CONTROLLERS.contains(&rule),
             "{}",
             rule.name()
+        );
+    }
+}
+
+proptest! {
+    #![proptest_config(with_cases(64))]
+
+    /// A controller file with settings is the built-in controller with these settings.
+    #[test]
+    fn a_controller_file_of_settings_is_the_built_in_controller(controller in any_controller()) {
+        let argument = controller.to_arg();
+        let mut settings = argument.split(',').map(|setting| setting.replacen('=', " = ", 1));
+        let name = settings.next().unwrap_or_default();
+        let lines: Vec<_> = settings.collect();
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let text = format!("version = 1\nbuilt_in = \"{name}\"\n[settings]\n{}\n", lines.join("\n"));
+        fs::write(folder.path().join("a.toml"), text).expect("a new file");
+        let opened = find_for_user("a.toml", folder.path()).expect("a valid file");
+        prop_assert_eq!(opened.source.downcast_ref::<BuiltInController>(), Some(&controller));
+        prop_assert_eq!(opened.disambiguating_hash(), controller.identity());
+    }
+}
+
+#[test]
+fn invalid_settings_of_a_controller_file_name_file_line_and_field() {
+    let folder = tempfile::tempdir().unwrap();
+    for (text, expected) in [
+        (
+            "built_in = \"none\"",
+            ":2: built_in: there is no built-in controller `none`",
+        ),
+        (
+            "built_in = \"idm,accel_mps2=1\"",
+            ":2: built_in: there is no built-in controller",
+        ),
+        (
+            "built_in = \"idm\"\n[settings]\nspeed = 1.0",
+            ":4: settings.speed: `speed=1` is not a setting of idm",
+        ),
+        (
+            "built_in = \"idm\"\n[settings]\naccel_mps2 = -1",
+            ":4: settings.accel_mps2: idm: accel_mps2 must be a number from 0.01 to 30",
+        ),
+        (
+            "built_in = \"idm\"\nnetwork = \"a.onnx\"",
+            ":3: network: `built_in` is given already",
+        ),
+        (
+            "built_in = \"idm\"\ndecision_interval_s = 0.1",
+            ":3: decision_interval_s: is not for a built-in controller",
+        ),
+        (
+            "command = [\"true\"]\n[settings]\na = 1",
+            ":3: settings: is not for a command",
+        ),
+    ] {
+        fs::write(
+            folder.path().join("a.toml"),
+            format!("version = 1\n{text}\n"),
+        )
+        .unwrap();
+        let error = find_for_user("a.toml", folder.path())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains(&format!("a.toml{expected}")),
+            "{text}: {error}"
+        );
+    }
+}
+
+/// Returns the fitted controllers of production cars.
+fn fitted_cars() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers/openacc");
+    let entries = fs::read_dir(folder).unwrap();
+    entries.map(|entry| entry.unwrap().path()).collect()
+}
+
+/// The models `cruise:...` have the settings of the files.
+#[test]
+fn a_fitted_car_is_a_model_of_the_same_name() {
+    let files = fitted_cars();
+    assert_eq!(files.len(), CRUISE_PRESETS.len());
+    for path in files {
+        let stem = path.file_stem().unwrap().to_str().unwrap();
+        let model = find_for_user(&format!("cruise:{stem}"), Path::new("")).unwrap();
+        let file = find_for_user(path.to_str().unwrap(), Path::new("")).unwrap();
+        assert_eq!(model.source.identity(), file.source.identity(), "{stem}");
+    }
+}
+
+/// Simulates a car that drives behind a braking leader and `idm`, in a scenario and in a random one of a space.
+fn simulate_as_follower(driver: &str) -> [SimulationResult; 2] {
+    let scenario = format!(
+        "version = 1
+name = \"cars\"
+duration_s = 40.0
+[[vehicles]]
+class = \"light\"
+position_m = 120.0
+speed_mps = 20.0
+driver.brake-to-speed = {{ onset_s = 1.0, rate_mps2 = 2.0, final_speed_mps = 8.0 }}
+[[vehicles]]
+class = \"light\"
+position_m = 80.0
+speed_mps = 20.0
+driver = \"under-test\"
+[[vehicles]]
+class = \"light\"
+position_m = 20.0
+speed_mps = 20.0
+{driver}
+"
+    );
+    let base = scenario.replace("[[vehicles]]", "[[base.vehicles]]");
+    let space = format!(
+        "version = 1
+name = \"cars\"
+[base]
+{base}
+[[parameters]]
+name = \"speed_mps\"
+field = \"vehicles[*].speed_mps\"
+unit = \"m/s\"
+distribution.uniform = {{ low = 15.0, high = 20.0 }}
+"
+    );
+    let opener = Controllers::default();
+    let scenario = file::from_toml(&scenario, Path::new("cars.toml"), &opener).unwrap();
+    let space = crumple_spaces::file::from_toml(&space, Path::new("space.toml"), &opener).unwrap();
+    let idm = BuiltInController::from_name("idm").unwrap();
+    [scenario, space.draw(1, 0).unwrap()].map(|scenario| {
+        let run = Run::new(&scenario, RunOptions::new(idm.clone())).unwrap();
+        simulate(&run, RecordingLevel::Trace)
+    })
+}
+
+/// The files are followers in a scenario and in the base of a space, with the settings that they state.
+#[test]
+fn fitted_cars_are_followers_in_scenarios_and_spaces() {
+    let cars = fitted_cars();
+    assert_eq!(cars.len(), 20);
+    for path in cars {
+        let path = path.to_str().unwrap();
+        let car = find_for_user(path, Path::new("")).unwrap().source;
+        let name = car.downcast_ref::<BuiltInController>().unwrap().to_arg();
+        let from_file = simulate_as_follower(&format!("driver.file = {{ path = {path:?} }}"));
+        let stated = format!("driver = {name:?}");
+        assert_eq!(from_file, simulate_as_follower(&stated), "{path}");
+        assert!(
+            from_file.iter().all(|result| result.outcome.is_safe()),
+            "{path}"
         );
     }
 }

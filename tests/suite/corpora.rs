@@ -83,7 +83,7 @@ fn every_kept_scenario_still_has_its_failure_and_its_class() {
             named.is_some_and(|expected| expected.violated),
             "{file}: the controller that it is named after does not fail"
         );
-        let class = Avoidability::classify_contact(&load(&path, &NoDriverFiles).unwrap());
+        let class = Avoidability::classify_collision(&load(&path, &NoDriverFiles).unwrap());
         for expected in own {
             let recorded = if expected.violated {
                 class.class()

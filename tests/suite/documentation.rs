@@ -129,7 +129,7 @@ fn the_comparison_has_the_published_figures() {
     }
 }
 
-/// Claims that recorded roads and human followers refute (`reports/driver.md`).
+/// Claims about collisions that hold with some followers only (`reports/driver.md`).
 #[test]
 fn claims_about_drivers_name_their_space_and_follower() {
     let read = |page: &str| {
@@ -139,7 +139,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
     for (page, stated) in [
         (
             "README.md",
-            "In the space `traffic` both are as comfortable as `idm`",
+            "in the emergencies of the space `followers`, it collides at most as often as `idm`",
         ),
         (
             "README.md",
@@ -155,11 +155,11 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "reports/driver.md",
-            "The follower drives `baseline` in `paper` and `high-risk`",
+            "The follower drives `baseline` in `paper`",
         ),
         (
             "reports/driver.md",
-            "| collisions in 6000 random scenarios of `high-risk-human`, % | 23.1 | 27.3 | 24.6 |",
+            "Every figure about collisions from behind names the follower",
         ),
         (
             "reports/retraining.md",

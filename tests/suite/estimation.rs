@@ -424,8 +424,8 @@ fn losing_one_measurement_in_five_changes_no_verdict() {
                     .edited(|spec| (spec.seed, spec.sensors.dropout) = (seed, 0.2))
                     .expect("valid");
                 match (
-                    truth.contact(),
-                    simulate_traced(&lossy, &options).outcome.contact(),
+                    truth.collision(),
+                    simulate_traced(&lossy, &options).outcome.collision(),
                 ) {
                     (None, None) => {}
                     (Some(truth), Some(lossy)) => {

@@ -26,7 +26,7 @@ fn every_finding_names_tests_and_proofs_that_there_are() {
     let proved = read("verify/coq/output.txt");
     let page = read("tests/findings.md");
     let sections: Vec<_> = page.split("\n## ").skip(1).collect();
-    for (section, (findings, least_tests)) in sections.iter().zip([(8, 40), (26, 40), (35, 34)]) {
+    for (section, (findings, least_tests)) in sections.iter().zip([(8, 40), (26, 40), (36, 34)]) {
         let (mut found, mut tests) = (BTreeSet::new(), 0);
         for row in section.lines().filter(|line| line.starts_with("| ")) {
             let cells: Vec<&str> = row.split(" | ").collect();
@@ -58,7 +58,7 @@ fn every_finding_names_tests_and_proofs_that_there_are() {
             tests += of_row;
         }
         // The rows of a commit are added together, when all of its faults are fixed.
-        if !found.is_empty() || findings != 35 {
+        if !found.is_empty() || findings != 36 {
             assert!(
                 found.into_iter().eq(1..=findings) && tests > least_tests,
                 "{tests}"

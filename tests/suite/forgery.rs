@@ -3,8 +3,15 @@
 
 mod changes;
 pub(crate) mod genuine;
+mod pools;
 pub(crate) mod rates;
 pub(crate) mod sets;
+mod two_sided;
+
+/// Closed loops that the tests of the simulator simulate, too.
+#[allow(dead_code, reason = "attacks change no leader")]
+#[path = "../../crates/sim/tests/two_sided/closed_loop.rs"]
+mod closed_loop;
 
 use std::collections::BTreeMap;
 
@@ -101,6 +108,7 @@ impl GenuineCertificate {
             && is_of_it
             && match &claimed.statement {
                 Statement::Invariant(claim) => sets::is_true(claim, accepted, &self.shown),
+                Statement::TwoSided(claim) => two_sided::is_true(claim),
                 other => implies(&original.statement, &self.shown, other),
             }
     }
@@ -153,12 +161,17 @@ fn is_of_same_subject(first: &Certificate, other: &Certificate) -> bool {
         && policy(first) == policy(other)
 }
 
-#[test]
-fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
-    let wanted: u64 = std::env::var("FORGERIES")
+/// Returns the number of attempts.
+fn forgery_count() -> u64 {
+    std::env::var("FORGERIES")
         .ok()
         .and_then(|text| text.parse().ok())
-        .unwrap_or(1000);
+        .unwrap_or(1000)
+}
+
+#[test]
+fn no_forgery_is_accepted_for_more_than_the_genuine_certificate_shows() {
+    let wanted = forgery_count();
     let begin = std::time::Instant::now();
     let genuine = genuine_certificates();
     let kinds: std::collections::BTreeSet<_> = genuine

@@ -4,7 +4,7 @@ use crumple_fuzzing::formula_from_bytes;
 use crumple_measure::stl::{
     Formula, SampledSignals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
 };
-use crumple_sim::engine::{AfterContact, Trace, Track};
+use crumple_sim::engine::{AfterCollision, Trace, Track};
 use proptest::prelude::*;
 
 use crate::generate::{any_test_case, simulate_traced, with_cases};
@@ -59,7 +59,7 @@ proptest! {
     /// Vehicles that stick together have a distance of exactly zero: rounding must not decide "never apart again".
     #[test]
     fn vehicles_that_touched_have_no_gap(mut test_case in any_test_case()) {
-        test_case.setup.after_contact = AfterContact::Continue;
+        test_case.setup.after_collision = AfterCollision::Continue;
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
         let result = simulate_traced(&test_case.scenario, &options);
         let trace = result.trace.as_ref().expect("kept");
@@ -67,8 +67,9 @@ proptest! {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let signals = motion_signals(trace, test_case.scenario.spec().step_s, &names).unwrap();
         for impact in &result.impacts {
-            let gaps_m = signals.get(&format!("v{}.gap_m", impact.contact.rear_vehicle)).expect("it is behind another");
-            let mut after = trace.time_s.iter().zip(gaps_m).filter(|(t, _)| **t > impact.contact.time_s + 1e-9);
+            let name = format!("v{}.gap_m", impact.collision.rear_vehicle);
+            let gaps_m = signals.get(&name).expect("it is behind another");
+            let mut after = trace.time_s.iter().zip(gaps_m).filter(|(t, _)| **t > impact.collision.time_s + 1e-9);
             prop_assert!(after.all(|(_, gap_m)| *gap_m == 0.0), "{impact:?}: {gaps_m:?}");
         }
     }

@@ -11,7 +11,7 @@ use crumple_fuzzing::{
 };
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{
-    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    AfterCollision, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
@@ -105,8 +105,8 @@ pub(crate) fn any_setup() -> impl Strategy<Value = RunSetup> {
     any_bytes(SETUP_BYTES).prop_map(|bytes| RunSetup::read(&mut Unstructured::new(&bytes)))
 }
 
-pub(crate) fn any_after_contact() -> impl Strategy<Value = AfterContact> {
-    prop_oneof![Just(AfterContact::Stop), Just(AfterContact::Continue)]
+pub(crate) fn any_after_collision() -> impl Strategy<Value = AfterCollision> {
+    prop_oneof![Just(AfterCollision::Stop), Just(AfterCollision::Continue)]
 }
 
 /// Returns lead profiles of the kind `index`.
@@ -134,14 +134,19 @@ pub(crate) fn without_noise(scenario: &Scenario) -> Scenario {
     scenario.edited(quiet).expect("still valid")
 }
 
-/// Makes a human driver the average one without glances off the road, so that it draws no random numbers.
+/// Makes a human driver the average one without glances off the road, and lets emergency brakes detect all standing
+/// vehicles, so that they draw no random numbers.
 pub(crate) fn make_average(driver: &mut BuiltInController) {
-    if let BuiltInController::Human(human) = driver {
-        (
-            human.reaction_shape,
-            human.brake_deviation_mps2,
-            human.glance_per_s,
-        ) = (0.0, 0.0, 0.0);
+    match driver {
+        BuiltInController::Human(human) => {
+            (
+                human.reaction_shape,
+                human.brake_deviation_mps2,
+                human.glance_per_s,
+            ) = (0.0, 0.0, 0.0);
+        }
+        BuiltInController::EmergencyBrake(brake) => brake.standing_miss_share = 0.0,
+        _ => {}
     }
 }
 

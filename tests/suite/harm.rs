@@ -4,13 +4,13 @@ use crumple_controllers::Controllers;
 use crumple_core::interval::RateInterval;
 use crumple_core::observer::Quiet;
 use crumple_measure::harm_of_pair;
-use crumple_report::assessment::HarmConfig;
+use crumple_report::assessment::{BrakeAfterCollision, HarmConfig};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, SearchObjective};
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate_batch};
 use crumple_sim::scenario::NoDriverFiles;
 use crumple_sim::scenario::file;
-use crumple_spaces::{HUMAN_SPACES, built_in_space};
+use crumple_spaces::built_in_space;
 use crumple_store::study::Study;
 
 use crate::assessments::{config, run};
@@ -45,16 +45,16 @@ fn the_count_of_harm_is_that_of_its_runs() {
     );
     assert_eq!(rest.iter().map(|group| group.drives).sum::<u64>(), 40);
     for (controller, rows) in all.controllers.iter().zip(rows.chunks(40)) {
-        // From the end of a row: harm, behind, ahead, activates.
+        // From the end of a row: harm, pushed, behind, ahead, activates.
         let count = |column: usize| {
             rows.iter()
                 .filter(|row| !["", "0"].contains(&row[column]))
                 .count() as u64
         };
-        assert_eq!(controller.activations, count(3));
-        let ahead = RateInterval::clopper_pearson(count(2), 40, 0.95);
+        assert_eq!(controller.activations, count(4));
+        let ahead = RateInterval::clopper_pearson(count(3), 40, 0.95);
         assert!((controller.ahead_percent.upper.value() - 100.0 * ahead.upper).abs() < 0.011);
-        assert!((controller.behind_percent.observed.value() - 2.5 * count(1) as f64).abs() < 1e-9);
+        assert!((controller.behind_percent.observed.value() - 2.5 * count(2) as f64).abs() < 1e-9);
         let harm: f64 = rows
             .iter()
             .map(|row| row[0].parse::<f64>().expect("a number"))
@@ -66,6 +66,27 @@ fn the_count_of_harm_is_that_of_its_runs() {
     };
     assert_eq!((never.activations, never.avoided, never.caused), (0, 0, 0));
     assert!(brake.activations > 0 && brake.avoided > 0, "{brake:?}");
+}
+
+/// A car that never brakes hits its leader as often with both settings. It is hit from behind more often if it then
+/// stops, and the same seed gives the same drives.
+#[test]
+fn a_car_holds_its_brake_or_coasts_after_its_impact() {
+    let counts = [BrakeAfterCollision::Hold, BrakeAfterCollision::Coast].map(|after_collision| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut config = config(&["emergency-brake,ttc_s=0"]);
+        (config.distributions, config.everyday_draws) =
+            (Some(vec!["high-risk-human".to_owned()]), 0);
+        let mut harm = HarmConfig::default();
+        (harm.emergencies_per_hour, harm.after_collision) = (0.1, after_collision);
+        config.harm = Some(harm);
+        let report = run(config, folder.path());
+        let all = &report.results.harm.as_ref().expect("counted").groups[0].controllers[0];
+        [all.ahead_percent, all.behind_percent].map(|share| share.observed.value())
+    });
+    let [[held_ahead, held_behind], [coasting_ahead, coasting_behind]] = counts;
+    assert!(held_behind > coasting_behind, "{counts:?}");
+    assert!((held_ahead - coasting_ahead).abs() < 1e-9, "{counts:?}");
 }
 
 /// In `high-risk` followers hit a car under test. The most harmful collision is that of a fast lorry.
@@ -110,7 +131,7 @@ fn as_index(vehicle: u32) -> usize {
 /// A human follows a car-following model in everyday traffic without a collision, also from other drivers' gaps.
 #[test]
 fn a_human_behind_idm_collides_in_no_everyday_traffic() {
-    let space = built_in_space(HUMAN_SPACES[1].0).expect("built in");
+    let space = built_in_space("traffic-human").expect("built in");
     let options = RunOptions::new(crumple_sim::control::BuiltInController::Idm(
         Default::default(),
     ));

@@ -102,8 +102,12 @@ fn reports_show_hostile_names_as_text() {
     let (policy, space) = (format!("{FILE}.safetensors"), format!("{FILE}.toml"));
     let mut asked = config(&["baseline", &policy, &format!("shield,ahead=8:{policy}")]);
     (asked.distributions, asked.search.spaces) = (Some(vec![space.clone()]), Some(vec![space]));
-    (asked.search.budget, asked.scenarios, asked.certificates) =
-        (60, vec!["scenarios".into()], None);
+    (
+        asked.search.budget,
+        asked.everyday_draws,
+        asked.scenarios,
+        asked.certificates,
+    ) = (20, 4, vec!["scenarios".into()], None);
     let assessment = run(asked, folder.path());
     let files = assessment.files().expect("renders");
     let text = |wanted: &str| {
@@ -218,7 +222,7 @@ fn terminals_show_hostile_names_as_text() {
                 "--space",
                 space,
                 "--budget",
-                "30",
+                "10",
                 "--out",
                 FILE,
             ],
@@ -233,7 +237,7 @@ fn terminals_show_hostile_names_as_text() {
                 "--space",
                 space,
                 "--budget",
-                "30",
+                "10",
                 "--out",
                 FILE,
             ],
@@ -247,7 +251,7 @@ fn terminals_show_hostile_names_as_text() {
                 "--space",
                 space,
                 "--budget",
-                "20",
+                "10",
                 "--format",
                 "json",
             ],

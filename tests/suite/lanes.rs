@@ -11,7 +11,9 @@ use crumple_fuzzing::oracle::{
 use crumple_fuzzing::{
     Crumple, Invariant, LANE_ORACLES, OracleFn, OracleOutcome, System, TestCase,
 };
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, UndecidedReason, avoid};
+use crumple_search::worst_case::{
+    AvoidOptions, AvoidanceVerdict, SearchEffort, UndecidedReason, avoid,
+};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
 use crumple_sim::scenario::{Driver, LaneChange};
@@ -185,12 +187,16 @@ fn shields_and_proofs_about_all_drivers_refuse_changes_of_lanes() {
     let shield = Controllers::default()
         .find("shield:policy", Path::new(""))
         .unwrap();
+    let options = AvoidOptions {
+        effort: SearchEffort::Decide,
+        ..AvoidOptions::default()
+    };
     let mut asked = [0; 2];
     for TestCase { scenario, .. } in first_lane_cases(300)
         .into_iter()
         .filter(|case| !case.scenario.keeps_lanes())
     {
-        let verdict = avoid(&scenario, AvoidOptions::default()).map(|avoidance| avoidance.verdict);
+        let verdict = avoid(&scenario, options).map(|avoidance| avoidance.verdict);
         match verdict {
             Ok(AvoidanceVerdict::Undecided(UndecidedReason::LaneChanges)) => asked[0] += 1,
             Ok(AvoidanceVerdict::Avoidable(escape)) => {

@@ -885,8 +885,8 @@ fn a_report_of_networks_can_be_replayed_from_its_folder() {
     let folder = folder_with(&["ppo.zip", "acc-5x20.onnx", "acc.toml"]);
     let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\npaper = false\ndraws = \
         20\n\
-                  everyday_draws = 1\ncertificates = []\nrates = { runs = 0 }\ndistributions = [\"paper\"]\n\
-                  search = { spaces = [\"high-risk\"], budget = 20 }\n";
+                  everyday_draws = 0\ncertificates = []\nrates = { runs = 0 }\ndistributions = [\"paper\"]\n\
+                  search = { spaces = [\"high-risk\"], budget = 8 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let assessed = run_crumple(folder.path(), "assess a.toml --out report");
     assert_eq!(exit_code(&assessed), 0, "{}", stderr(&assessed));

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crumple_sim::control::{
-    ErrorBounds, ShieldParams, ShieldState, ViabilityKernel, distance_and_speed_after,
-    max_closing_m,
+    ErrorBounds, FiringRule, MotionSample, ShieldParams, ShieldState, ViabilityKernel,
+    distance_and_speed_after, max_closing_m, min_quadratic,
 };
 use crumple_sim::scenario::VehicleClass;
 
@@ -84,6 +84,65 @@ fn code_terms() -> [(&'static str, String); 13] {
     ]
 }
 
+/// Terms of the code about followers whose brake fires.
+fn follower_terms() -> [(&'static str, String); 13] {
+    let rule = FiringRule {
+        step_s: Term::symbol("h"),
+        ttc_s: Term::symbol("T"),
+        drift_mps2: Term::symbol("e"),
+    };
+    let sample = |position: &str, speed: &str| MotionSample {
+        position_m: Term::symbol(position),
+        speed_mps: Term::symbol(speed),
+    };
+    let [own, own_before] = [sample("p", "v"), sample("p0", "v0")];
+    let [fastest, slowest] = [sample("pf", "uf"), sample("ps", "us")];
+    let speeds = rule.firing_speeds_mps([own, own_before], [fastest, slowest]);
+    let unfired = |speed: &str| {
+        let position_m = rule.unfired_position_m(own_before, Term::symbol(speed));
+        position_m.text()
+    };
+    let [deceleration, low, value] = ["d", "low", "value"].map(Term::symbol);
+    let waiting_gap_m = rule.waiting_gap_m(own, deceleration, fastest.position_m, low);
+    let [rate, second] = ["rate", "k"].map(Term::symbol);
+    let spare = |own, follower| rule.spare_m(own, follower).text();
+    [
+        (
+            "{follower-spare-before}",
+            spare(own_before, sample("y0", "u0")),
+        ),
+        ("{follower-spare}", spare(own, sample("y", "u"))),
+        ("{fastest-spare}", spare(own, fastest)),
+        ("{slowest-spare}", spare(own, slowest)),
+        ("{unfired-position}", unfired("u")),
+        ("{unfired-position-at-kink}", unfired("kink")),
+        ("{unfired-position-at-high}", unfired("high")),
+        ("{unfired-position-at-low}", unfired("low")),
+        ("{low-speed}", speeds.min_mps.text()),
+        ("{kink-speed}", speeds.kink_mps.text()),
+        ("{high-speed}", speeds.max_mps.text()),
+        ("{waiting-gap}", waiting_gap_m.text()),
+        (
+            "{minimum}",
+            min_quadratic(value, rate, second, deceleration).text(),
+        ),
+    ]
+}
+
+/// Statements about followers whose brake fires, for all parameters.
+const FOLLOWER_STATEMENTS: [&str; 10] = [
+    "unfired",
+    "speeds",
+    "kink",
+    "ends",
+    "certain",
+    "motion",
+    "waiting",
+    "minimum",
+    "acceleration",
+    "control",
+];
+
 /// Statements for a pair; the last one only if the ego brakes harder than the leader.
 const STATEMENTS: [&str; 11] = [
     "invariance",
@@ -99,20 +158,34 @@ const STATEMENTS: [&str; 11] = [
     "control",
 ];
 
+/// Returns a statement with the terms of the code.
+fn filled_statement(name: &str, terms: &[(&'static str, String)]) -> String {
+    let path = obligations_folder()
+        .join("statements")
+        .join(format!("{name}.smt2"));
+    let text = fs::read_to_string(path).unwrap();
+    terms
+        .iter()
+        .fold(text, |text, (place, term)| text.replace(place, term))
+}
+
+fn follower_obligations() -> Vec<(String, String)> {
+    let terms = follower_terms();
+    let definitions = filled_statement("follower-definitions", &terms);
+    FOLLOWER_STATEMENTS
+        .iter()
+        .map(|name| {
+            let statement = filled_statement(&format!("follower-{name}"), &terms);
+            let file = format!("follower/{name}.smt2");
+            (file, definitions.clone() + &statement)
+        })
+        .collect()
+}
+
 fn obligations() -> Vec<(String, String)> {
     let of_code = code_terms();
-    let statement = |name: &str| {
-        let text = fs::read_to_string(
-            obligations_folder()
-                .join("statements")
-                .join(format!("{name}.smt2")),
-        )
-        .unwrap();
-        of_code
-            .iter()
-            .fold(text, |text, (place, term)| text.replace(place, term))
-    };
-    let mut all = Vec::new();
+    let statement = |name: &str| filled_statement(name, &of_code);
+    let mut all = follower_obligations();
     for own in VehicleClass::ALL {
         for ahead in VehicleClass::ALL {
             let ([n, d], [m, e]) = (
@@ -194,7 +267,7 @@ fn theorems_in_the_docs_are_those_that_coq_has_checked() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |file: &str| fs::read_to_string(root.join(file)).unwrap();
     let message = read("verify/coq/output.txt");
-    let theories = ["Kernel.v", "Rounding.v"].map(|file| {
+    let theories = ["Kernel.v", "Rounding.v", "TwoSided.v", "Vehicles.v"].map(|file| {
         let theory = read(&format!("verify/coq/{file}"));
         let recorded = format!("{file} {}", crumple_core::digest::sha256(&theory));
         assert!(
@@ -206,8 +279,8 @@ fn theorems_in_the_docs_are_those_that_coq_has_checked() {
         }
         theory
     });
-    let page = read("docs/kernel-theorems.md");
-    let shown: Vec<_> = page
+    let pages = read("docs/kernel-theorems.md") + &read("docs/two-sided.md");
+    let shown: Vec<_> = pages
         .split("```coq\n")
         .skip(1)
         .filter_map(|rest| rest.split("\n```").next())

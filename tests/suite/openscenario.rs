@@ -6,7 +6,7 @@ use crumple_exchange::openscenario::export::{
     OpenScenarioError, export_actions, export_trajectories,
 };
 use crumple_sim::control::BuiltInController;
-use crumple_sim::engine::{AfterContact, RunOptions, Trace};
+use crumple_sim::engine::{AfterCollision, RunOptions, Trace};
 use crumple_sim::scenario::{
     Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, PiecewiseAcceleration, Scenario,
     built_in_scenario, built_in_scenario_names,
@@ -150,9 +150,9 @@ fn road_extent_m(xml: &[u8]) -> [f64; 2] {
     [from_m, from_m + number_attribute(geometry, "length")]
 }
 
-fn options(after_contact: AfterContact) -> RunOptions {
+fn options(after_collision: AfterCollision) -> RunOptions {
     RunOptions::new(BuiltInController::from_name("baseline").expect("built in"))
-        .with_after_contact(after_contact)
+        .with_after_collision(after_collision)
 }
 
 /// On a road of one lane, a vehicle in another lane would overlap the others.
@@ -164,7 +164,7 @@ fn changes_of_lanes_are_refused() {
             spec.vehicles[0].enters = Some(LaneChange::At(1.0));
         });
     let cut_in = cut_in.expect("valid");
-    let trace = simulate_traced(&cut_in, &options(AfterContact::Stop))
+    let trace = simulate_traced(&cut_in, &options(AfterCollision::Stop))
         .trace
         .expect("traced");
     for refused in [
@@ -183,8 +183,8 @@ proptest! {
 
     #[test]
     fn random_scenarios_are_read_back_as_they_ran(scenario in any_scenario(), goes_on: bool) {
-        let after_contact = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
-        assert_matches_run(&scenario, &simulate_traced(&scenario, &options(after_contact)).trace.expect("traced"));
+        let after_collision = if goes_on { AfterCollision::Continue } else { AfterCollision::Stop };
+        assert_matches_run(&scenario, &simulate_traced(&scenario, &options(after_collision)).trace.expect("traced"));
     }
 
     /// The actions alone reproduce the scripts, until a collision.
@@ -242,7 +242,7 @@ fn assert_scripts_are_actions(scenario: &Scenario) {
     let made = export_actions(scenario, "road.xodr").expect("exports");
     let text = String::from_utf8(made.scenario).expect("UTF-8");
     let document = Document::parse(&text).expect("XML");
-    let trace = simulate_traced(scenario, &options(AfterContact::Stop))
+    let trace = simulate_traced(scenario, &options(AfterCollision::Stop))
         .trace
         .expect("traced");
     for (index, vehicle) in scenario.vehicles().iter().enumerate() {

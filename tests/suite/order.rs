@@ -18,7 +18,7 @@ fn root() -> &'static Path {
 /// may use.
 fn listed_packages() -> Vec<(String, BTreeSet<String>)> {
     let page = fs::read_to_string(root().join("docs/architecture.md")).unwrap();
-    let (_, table) = page.split_once("| folder | content | may use |").unwrap();
+    let (_, table) = page.split_once("| folder | content | uses |").unwrap();
     let rows = table.lines().skip(2).take_while(|row| row.starts_with('|'));
     let cells = rows.map(|row| {
         row.trim_matches([' ', '|'])

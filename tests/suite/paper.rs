@@ -2,7 +2,7 @@
 
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{
-    AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    AfterCollision, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Scenario, built_in_scenario};
@@ -42,12 +42,12 @@ fn assert_hit_from_behind(
     [ego_mps, follower_mps]: [f64; 2],
 ) -> SimulationResult {
     let result = run_with_truth(name, "baseline");
-    let contact = result.outcome.contact().expect("a rear collision");
-    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
-    assert_near(contact.time_s, time_s, 0.02, "time of contact");
-    assert_near(contact.front_speed_mps, ego_mps, 0.1, "speed of the ego");
+    let collision = result.outcome.collision().expect("a rear collision");
+    assert_eq!((collision.front_vehicle, collision.rear_vehicle), (1, 2));
+    assert_near(collision.time_s, time_s, 0.02, "time of contact");
+    assert_near(collision.front_speed_mps, ego_mps, 0.1, "speed of the ego");
     assert_near(
-        contact.rear_speed_mps,
+        collision.rear_speed_mps,
         follower_mps,
         0.1,
         "speed of the follower",
@@ -81,11 +81,11 @@ fn the_baseline_is_hit_from_behind_by_a_light_follower() {
 #[test]
 fn three_middle_vehicles_pile_up() {
     let first = run_with_truth("paper-3", "baseline").outcome;
-    let contact = first.contact().expect("a collision");
-    assert_eq!((contact.front_vehicle, contact.rear_vehicle), (1, 2));
-    assert_near(contact.time_s, 5.64, 0.02, "time of first contact");
+    let collision = first.collision().expect("a collision");
+    assert_eq!((collision.front_vehicle, collision.rear_vehicle), (1, 2));
+    assert_near(collision.time_s, 5.64, 0.02, "time of first contact");
     let going_on =
-        options("baseline", EstimatorKind::Truth).with_after_contact(AfterContact::Continue);
+        options("baseline", EstimatorKind::Truth).with_after_collision(AfterCollision::Continue);
     let pile_up = run(&scenario("paper-3"), going_on);
     assert_eq!(
         pile_up.outcome, first,
@@ -101,7 +101,7 @@ fn three_middle_vehicles_pile_up() {
         pile_up
             .impacts
             .windows(2)
-            .all(|pair| pair[0].contact.time_s <= pair[1].contact.time_s)
+            .all(|pair| pair[0].collision.time_s <= pair[1].collision.time_s)
     );
     let heaviest = pile_up
         .impacts
@@ -163,19 +163,19 @@ fn the_integration_step_decides_nothing() {
     for name in PAPER_SCENARIOS {
         for controller in BuiltInController::all() {
             for estimator in [EstimatorKind::Truth, EstimatorKind::Kalman] {
-                for after_contact in [AfterContact::Stop, AfterContact::Continue] {
+                for after_collision in [AfterCollision::Stop, AfterCollision::Continue] {
                     let options =
-                        options(controller.name(), estimator).with_after_contact(after_contact);
+                        options(controller.name(), estimator).with_after_collision(after_collision);
                     let [coarse, fine] = [0.01, 0.001]
                         .map(|dt_s| run(&scenario(name), options.clone().with_dt_s(dt_s)).impacts);
                     let what = format!(
-                        "{name} {} {estimator:?} {after_contact:?}",
+                        "{name} {} {estimator:?} {after_collision:?}",
                         controller.name()
                     );
                     assert_eq!(coarse.len(), fine.len(), "{what}");
                     for (coarse, fine) in coarse.iter().zip(&fine) {
                         assert_eq!(
-                            coarse.contact.rear_vehicle, fine.contact.rear_vehicle,
+                            coarse.collision.rear_vehicle, fine.collision.rear_vehicle,
                             "{what}"
                         );
                         // This brake is released and fires again, each time at a decision.
@@ -185,8 +185,8 @@ fn the_integration_step_decides_nothing() {
                             1e-3
                         };
                         assert_near(
-                            coarse.contact.time_s,
-                            fine.contact.time_s,
+                            coarse.collision.time_s,
+                            fine.collision.time_s,
                             tolerance_s,
                             &what,
                         );
@@ -205,7 +205,7 @@ fn an_independent_simulation_of_scenario_1_agrees() {
     let (length, strongest) = ([2.0, 2.0, 15.0], [3.0, 7.5, 6.0]);
     let mut braking = [false; 3];
     let mut smallest_front_gap = f64::INFINITY;
-    let mut contact_s = None;
+    let mut collision_s = None;
     for k in 0..1_500_000 {
         if k % 1000 == 0 {
             braking[0] |= k >= 100_000;
@@ -222,14 +222,14 @@ fn an_independent_simulation_of_scenario_1_agrees() {
         }
         smallest_front_gap = f64::min(smallest_front_gap, x[0] - length[0] - x[1]);
         if x[1] - length[1] - x[2] <= 0.0 {
-            contact_s = Some((k + 1) as f64 * DT);
+            collision_s = Some((k + 1) as f64 * DT);
             break;
         }
     }
     let result = run_with_truth("paper-1", "baseline");
     assert_near(
-        result.outcome.contact().unwrap().time_s,
-        contact_s.expect("a collision"),
+        result.outcome.collision().unwrap().time_s,
+        collision_s.expect("a collision"),
         1e-3,
         "time of contact",
     );

@@ -136,7 +136,7 @@ fn collides_with(scenario: &Scenario, options: &RunOptions, faults: &SensorFault
     let faulty = scenario
         .edited(|spec| spec.sensors.faults = faults.clone())
         .unwrap();
-    Specification::NoContact
+    Specification::NoCollision
         .evaluate_scenario(&faulty, options.clone())
         .unwrap()
         .is_violation()

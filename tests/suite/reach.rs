@@ -429,7 +429,7 @@ scenario = \"paper-1\"\n[ranges]\ngap_ahead_m = { low = 15.99, high = 16.01 }";
         ),
         (
             "hard.toml",
-            "hard.toml:30: cannot be followed: output.low_mps2: commands up to -9 m/s², and the limits of the vehicle \
+            "hard.toml:30: cannot be verified: output.low_mps2: commands up to -9 m/s², and the limits of the vehicle \
              are -7.5 to 3",
         ),
         ("idm", "must be a policy of crumple or a network"),

@@ -157,7 +157,7 @@ fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
     .unwrap();
     simulate(&run, RecordingLevel::Summary)
         .outcome
-        .contact()
+        .collision()
         .is_some()
 }
 

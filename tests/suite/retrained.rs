@@ -27,7 +27,7 @@ fn space() -> ScenarioSpace {
     built_in_space("high-risk").unwrap()
 }
 
-fn count_contacts(
+fn count_collisions(
     controller: &Arc<dyn ControllerSource>,
     scenarios: &[Scenario],
     estimator: EstimatorKind,
@@ -38,7 +38,7 @@ fn count_contacts(
         .map(|scenario| Run::new(scenario, options.clone()).unwrap())
         .collect();
     let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
-        result.outcome.contact().is_some()
+        result.outcome.collision().is_some()
     });
     collided.into_iter().filter(|&collided| collided).count()
 }
@@ -101,7 +101,7 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
         .into();
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
         assert_eq!(
-            count_contacts(&retrained, &paper, estimator),
+            count_collisions(&retrained, &paper, estimator),
             0,
             "{estimator:?}"
         );
@@ -109,7 +109,10 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
     let draws: Vec<_> = (0..1000)
         .map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap())
         .collect();
-    assert_eq!(count_contacts(&retrained, &draws, EstimatorKind::Kalman), 0);
+    assert_eq!(
+        count_collisions(&retrained, &draws, EstimatorKind::Kalman),
+        0
+    );
     // A part of the test set: counts within three standard deviations of the recorded rates.
     let evaluated: TestSetResults = read_json("judged-on.json");
     let space = space();
@@ -123,10 +126,10 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
         Arc::clone(&Policy::retrained()).into_source(),
     ];
     for (policy, tally) in policies.iter().zip(&evaluated.tallies) {
-        let rate = tally.contacts as f64 / evaluated.corpus.avoidable as f64;
+        let rate = tally.collisions as f64 / evaluated.corpus.avoidable as f64;
         let (mean, found) = (
             2000.0 * rate,
-            count_contacts(policy, &part, EstimatorKind::Kalman) as f64,
+            count_collisions(policy, &part, EstimatorKind::Kalman) as f64,
         );
         assert!(
             (found - mean).abs() < 3.0 * (mean * (1.0 - rate)).sqrt() + 1.0,
@@ -138,10 +141,10 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
         panic!("two policies")
     };
     assert!(
-        first.contacts > 5 * retrained.contacts,
+        first.collisions > 5 * retrained.collisions,
         "{} {}",
-        first.contacts,
-        retrained.contacts
+        first.collisions,
+        retrained.collisions
     );
 }
 

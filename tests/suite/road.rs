@@ -99,7 +99,7 @@ struct Driven {
 }
 
 fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> Driven {
-    let spec = BuiltInController::from_name(controller).unwrap();
+    let spec = BuiltInController::parse(controller).unwrap().unwrap();
     let options = RunOptions::new(spec.into_source()).with_estimator(estimator);
     let runs: Vec<_> = scenarios
         .iter()
@@ -110,7 +110,7 @@ fn drive(controller: &str, scenarios: &[Scenario], estimator: EstimatorKind) -> 
             .trace
             .as_ref()
             .and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
-        (result.outcome.contact().is_some(), useful.unwrap())
+        (result.outcome.collision().is_some(), useful.unwrap())
     });
     let mean = |of: &dyn Fn(&UsefulnessMeasures) -> f64| {
         each.iter().map(|(_, useful)| of(useful)).sum::<f64>() / each.len() as f64
@@ -155,24 +155,33 @@ fn predictive_and_road_are_safe_in_the_papers_task() {
     }
 }
 
-/// Both avoid most collisions of `high-risk`, of which `idm` has two in five scenarios, and are as useful in traffic.
+/// Both collide half as often as `idm` before seven kinds of follower, and with humans behind no more often.
+/// Both are as comfortable in traffic as `idm-damped`, which like them amplifies no oscillation.
 #[test]
 fn predictive_and_road_are_safe_and_useful() {
-    let (traffic, danger) = (draw("traffic", 200), draw("high-risk", 300));
-    let idm = drive("idm", &traffic, EstimatorKind::Kalman).mean_squares;
+    let kalman = EstimatorKind::Kalman;
+    let traffic = draw("traffic", 200);
+    let emergencies = [("followers", 420), ("high-risk-human", 300)];
+    let emergencies = emergencies.map(|(space, count)| draw(space, count));
+    let damped = drive("idm-damped", &traffic, kalman).mean_squares;
+    let idm = [0, 1].map(|space| drive("idm", &emergencies[space], kalman).collisions);
     for controller in ["predictive", "road"] {
         let Driven {
             collisions,
             faults,
             mean_squares,
-        } = drive(controller, &traffic, EstimatorKind::Kalman);
+        } = drive(controller, &traffic, kalman);
         assert_eq!((collisions, faults), (0, 0), "{controller}");
-        let [acceleration, jerk] = [0, 1].map(|index| (mean_squares[index] / idm[index]).sqrt());
+        let [acceleration, jerk] = [0, 1].map(|index| (mean_squares[index] / damped[index]).sqrt());
         assert!(
             acceleration < 1.2 && jerk < 1.2,
-            "{controller}: {acceleration} and {jerk} times those of idm"
+            "{controller}: {acceleration} and {jerk} times those of idm-damped"
         );
-        let collisions = drive(controller, &danger, EstimatorKind::Kalman).collisions;
-        assert!(collisions <= 20, "{controller}: {collisions} of 300");
+        let [any, human] =
+            [0, 1].map(|space| drive(controller, &emergencies[space], kalman).collisions);
+        assert!(
+            2 * any < idm[0] && human <= idm[1],
+            "{controller}: {any} and {human}, idm {idm:?}"
+        );
     }
 }

@@ -128,8 +128,8 @@ proptest! {
             prop_assert_eq!(counterexample.escape_file.is_some(), is_avoidable);
             if let Some(escape) = &counterexample.escape_file {
                 let scenario = file::load(&folder.path().join(escape), &NoDriverFiles).unwrap();
-                let verdict = Specification::NoContact.evaluate_scenario(&scenario, options(&campaign)).unwrap();
-                prop_assert!(verdict.contact.is_none() && !scenario.has_vehicle_under_test(), "{}", escape);
+                let verdict = Specification::NoCollision.evaluate_scenario(&scenario, options(&campaign)).unwrap();
+                prop_assert!(verdict.collision.is_none() && !scenario.has_vehicle_under_test(), "{}", escape);
             }
         }
     }

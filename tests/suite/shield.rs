@@ -119,7 +119,7 @@ fn with_shield(
 ) -> Arc<dyn ControllerSource> {
     ShieldedSource {
         controller,
-        settings,
+        settings: settings.into(),
     }
     .into_source()
 }
@@ -227,15 +227,15 @@ fn draw_chases(count: usize) -> impl Iterator<Item = Chase> {
 #[test]
 fn without_a_shield_drivers_hit_the_vehicle_ahead() {
     let scenarios: Vec<_> = draw_chases(200).map(|chase| chase.scenario()).collect();
-    let contacts = drivers().map(|driver| {
+    let collisions = drivers().map(|driver| {
         let hits = scenarios
             .iter()
             .filter(|s| simulate_with_truth(s, driver.clone()).outcome != Outcome::NoCollision);
         hits.count()
     });
     assert!(
-        contacts[0] > 150 && contacts[1] > 50 && contacts[2] > 5,
-        "{contacts:?} of 200"
+        collisions[0] > 150 && collisions[1] > 50 && collisions[2] > 5,
+        "{collisions:?} of 200"
     );
 }
 

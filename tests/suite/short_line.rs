@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{
-    AfterContact, Motion, RecordingLevel, Run, RunOptions, StepView, Stepper,
+    AfterCollision, Motion, RecordingLevel, Run, RunOptions, StepView, Stepper,
 };
 use crumple_sim::observation::{EstimatorKind, Observation};
 use crumple_sim::scenario::{LaneChange, built_in_scenario, built_in_scenario_names};
@@ -88,14 +88,16 @@ fn steps_together_are_steps_alone() {
     for (number, scenario) in draws.chain(others).enumerate() {
         for estimator in EstimatorKind::ALL {
             let after = if number % 2 == 0 {
-                AfterContact::Continue
+                AfterCollision::Continue
             } else {
-                AfterContact::Stop
+                AfterCollision::Stop
             };
             let options = RunOptions::new(BuiltInController::from_name("idm").unwrap());
             let run = Run::new(
                 &scenario,
-                options.with_estimator(estimator).with_after_contact(after),
+                options
+                    .with_estimator(estimator)
+                    .with_after_collision(after),
             )
             .unwrap();
             let name = &scenario.spec().name;

@@ -37,7 +37,7 @@ const OWN_FILES: [(&str, usize); 10] = [
     ("crates/report/src/assessment/parts/search_campaign.rs", 1),
     // The running program, and the system's description of the processor.
     ("crates/store/src/program.rs", 1),
-    ("src/cli/assess.rs", 1),
+    ("crates/report/src/assessment/run_info.rs", 1),
     // The functions that open regular files; the checker of certificates has its own.
     ("crates/core/src/regular_file.rs", 2),
     ("verify/src/certificate.rs", 1),

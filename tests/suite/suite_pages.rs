@@ -5,7 +5,8 @@ use std::path::Path;
 
 use crumple_core::observer::Quiet;
 use crumple_report::assessment::{
-    AssessmentGate, AssessmentPlan, EvidenceCache, Property, Strength, SuiteConfig, assess,
+    AssessmentGate, AssessmentPlan, EvidenceCache, GateConfig, Property, Strength, SuiteConfig,
+    assess,
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_suites::{MarginEnd, SweepFailure, TestSuite, run};
@@ -114,9 +115,11 @@ fn suites_are_evidence_of_an_assessment() {
         suite("un-r152", &["full-throttle", "idm"]),
         suite("own.toml", &["policy", "idm"]),
     ];
-    let gate = |controller: &str, suite: &str| AssessmentGate::SuitePassed {
-        controller: controller.to_owned(),
-        suite: suite.to_owned(),
+    let gate = |controller: &str, suite: &str| {
+        GateConfig::from(AssessmentGate::SuitePassed {
+            controller: controller.to_owned(),
+            suite: suite.to_owned(),
+        })
     };
     asked.gates = vec![
         gate("idm", "un-r152"),

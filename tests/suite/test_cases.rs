@@ -89,7 +89,7 @@ proptest! {
 fn a_violation_brings_a_scenario_file() {
     let test_case = TestCase::from_bytes(&[]);
     let violation = test_case
-        .check(metrics_agree, &FaultySystem(Fault::ContactForgotten))
+        .check(metrics_agree, &FaultySystem(Fault::CollisionForgotten))
         .expect_err("must be noticed");
     let path = Path::new("reproducer.toml");
     let read = crumple_sim::scenario::file::from_toml(&violation.reproducer, path, &NoDriverFiles)
@@ -140,7 +140,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
     assert!(
         simulate(&run, RecordingLevel::Summary)
             .outcome
-            .contact()
+            .collision()
             .is_some()
     );
     assert!(CollisionSearch::new("unknown", None).is_err());

@@ -120,7 +120,7 @@ const COMMANDS_0_3_0: [ExpectedOutput; 11] = [
     (
         "verify rate --controller idm --space paper --runs 300 --seed 3 --confidence 0.9 --out count --resume",
         0,
-        "0 failures, of 300 runs",
+        "0 failures in 300 runs",
     ),
     (
         "verify rate --rare --controller match-leader --space paper --samples 50 --repetitions 5 --seed 3 --out \
@@ -214,7 +214,7 @@ const OLD_NAMES_0_3_0: [ExpectedOutput; 12] = [
         "verify rate --controller idm --space space.toml --runs 200 --seed 3 --confidence 0.9 --out \
          count-in-fitted-space --resume",
         0,
-        "of 200 runs",
+        "in 200 runs",
     ),
     (
         "check count-in-fitted-space/certificate.json",

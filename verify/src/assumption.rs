@@ -36,6 +36,11 @@ pub enum Assumption {
     /// The leader's acceleration and speed stay within the stated limits, and the own speed within the stated range.
     /// The claim ends if they leave.
     SpeedsWithin,
+    /// The own vehicle executes each command after the stated delay, up to the stated noise, and once it stands, it
+    /// stands until a positive command.
+    EgoOnPlan,
+    /// The follower is of the stated class.
+    FollowerInClass,
     /// Runs are independent samples, and the registration was made before the first of them.
     RegisteredDraws,
     /// Noise is that of the scenario's seed, contained in the stated accelerations. The only optional assumption.
@@ -66,6 +71,11 @@ impl std::fmt::Display for Assumption {
             Self::SpeedsWithin => {
                 "the speeds of both vehicles and the leader's acceleration stay within the stated limits"
             }
+            Self::EgoOnPlan => {
+                "the own vehicle executes each command after the stated delay, up to the stated noise, and stands \
+                 until a positive command"
+            }
+            Self::FollowerInClass => "the follower is of the stated class",
             Self::RegisteredDraws => "runs are independent samples, registered before the first run",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })

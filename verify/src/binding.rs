@@ -43,6 +43,9 @@ fn check_texts(
                 "must be absent: a kernel does not belong to a scenario",
             );
         }
+        ClaimSubject::AnyNeighbours => {
+            return check_no_source(provenance, "must be absent: the statement has all numbers");
+        }
         ClaimSubject::Scene { .. } => None,
         ClaimSubject::InitialStates(_) | ClaimSubject::Region(_) => {
             provenance.box_text.is_none().then_some("is missing")

@@ -39,8 +39,8 @@ pub struct Certificate {
 /// The subject of a statement: a scenario, a box around one, or a scenario space.
 ///
 /// In version 2 its text is part of the certificate and its hash is checked. `crumple check` compares the text with the
-/// numbers of the statement. A kernel concerns no single scenario, so `crumple` is its only field. The checker
-/// concludes nothing from these fields in a certificate of version 1.
+/// numbers of the statement. A kernel or a two-sided claim names no scenario, so `crumple` is its only field. The
+/// checker concludes nothing from these fields in a certificate of version 1.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertificateProvenance {
@@ -113,7 +113,10 @@ impl Certificate {
             ClaimSubject::Region(claim) => claim
                 .network()
                 .map(|network| (network.policy_file.as_str(), network.policy_sha256.as_str())),
-            ClaimSubject::AnyVehicles | ClaimSubject::Scene { .. } | ClaimSubject::Runs(_) => None,
+            ClaimSubject::AnyVehicles
+            | ClaimSubject::AnyNeighbours
+            | ClaimSubject::Scene { .. }
+            | ClaimSubject::Runs(_) => None,
         }
     }
 

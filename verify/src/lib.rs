@@ -3,8 +3,8 @@
 //! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
 //! This crate accepts or rejects the file, without random numbers. Modules in reading order: [`interval`], [`claim`],
 //! [`motion`], [`avoidable`], [`unavoidable`], [`gap_bound`], [`polynomial`], [`kernel`], [`registration`], [`rate`],
-//! [`comparison`], [`reach`], [`invariant`], [`assumption`], [`certificate`], [`scope`], [`work`]. Each kind of claim
-//! is a variant of [`Statement`], and has a file.
+//! [`comparison`], [`reach`], [`invariant`], [`two_sided`], [`assumption`], [`certificate`], [`scope`], [`work`],
+//! [`pool`]. Each kind of claim is a variant of [`Statement`], and has a file.
 //!
 //! # What is claimed
 //! A leader moves as scripted. Behind it drive one or more *egos*, the vehicles under test. Behind them there may be a
@@ -18,6 +18,7 @@
 //! - *Reach*: with the stated network, no initial state in the verified parts of the box leads to a collision. Instead
 //!   of following a script, the leader may brake arbitrarily within a limit.
 //! - *Invariant*: from every state of a set, the stated controller never collides with a leader within limits.
+//! - *Two-sided*: a filter, or the plan of one run, avoids any leader within limits and any follower of a class.
 //! - *Kernel*, *rate*, *fails less often*: these concern no single scene; their modules state them.
 //!
 //! # What is assumed
@@ -70,11 +71,13 @@ pub mod kernel;
 pub mod motion;
 mod number;
 pub mod polynomial;
+pub mod pool;
 pub mod rate;
 pub mod reach;
 pub mod registration;
 pub mod rejection;
 pub mod scope;
+pub mod two_sided;
 pub mod unavoidable;
 pub mod work;
 
@@ -89,11 +92,13 @@ pub use gap_bound::GapBoundClaim;
 pub use interval::Interval;
 pub use invariant::InvariantClaim;
 pub use kernel::KernelClaim;
+pub use pool::{Pool, PoolRejection, PooledRate};
 pub use rate::RateClaim;
 pub use reach::ReachClaim;
 pub use registration::Registration;
 pub use rejection::Rejection;
 pub use scope::Scope;
+pub use two_sided::TwoSidedClaim;
 pub use unavoidable::{Branch, MultiplierRows, UnavoidableClaim};
 pub use work::WorkLimit;
 
@@ -122,6 +127,8 @@ pub enum Statement {
     Reach(ReachClaim),
     /// A controller keeps a set of states, in which it never collides.
     Invariant(Box<InvariantClaim>),
+    /// A filter, or a plan in one run, avoids collisions with the leader and with a follower of a class.
+    TwoSided(Box<TwoSidedClaim>),
 }
 
 impl Statement {
@@ -135,6 +142,7 @@ impl Statement {
             Self::Comparison(claim) => claim,
             Self::Reach(claim) => claim,
             Self::Invariant(claim) => &**claim,
+            Self::TwoSided(claim) => &**claim,
         }
     }
 
@@ -213,6 +221,8 @@ struct CheckInput<'a> {
 pub enum ClaimSubject<'a> {
     /// Any two vehicles with the stated limits. The certificate contains no text.
     AnyVehicles,
+    /// A vehicle between any leader and any follower with the stated limits. The certificate contains no text.
+    AnyNeighbours,
     /// A scene, which a scenario describes.
     Scene {
         /// The scene.
@@ -293,6 +303,15 @@ pub enum ProvedClaim {
         /// True if the own speed provably stays within the table; otherwise the claim ends if it leaves.
         own_speed_is_kept: bool,
     },
+    /// No collision with the leader or with a follower of a class.
+    TwoSided {
+        /// The class; `None` without a follower.
+        follower: Option<two_sided::CoveredFollowers>,
+        /// Limit of the leader's braking, in m/s².
+        leader_brakes_at_most_mps2: f64,
+        /// True for the plan of one run, false for a filter.
+        is_one_run: bool,
+    },
 }
 
 impl std::fmt::Display for ProvedClaim {
@@ -357,6 +376,9 @@ impl std::fmt::Display for ProvedClaim {
                 (1e4 * share).floor() / 1e2,
                 round_down(*min_gap_m),
                 if *own_speed_is_kept { "" } else { ", until the own speed leaves its range" }
+            ),
+            Self::TwoSided { follower, leader_brakes_at_most_mps2, is_one_run } => formatter.write_str(
+                &two_sided::describe_proved(follower.as_ref(), *leader_brakes_at_most_mps2, *is_one_run),
             ),
         }
     }

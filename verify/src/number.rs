@@ -4,10 +4,12 @@ use crate::interval::Interval;
 
 /// Formats an interval; one without width as a single number.
 pub(crate) fn format_range(range: Interval) -> String {
-    if range.low() == range.high() {
-        range.low().to_string()
+    // Adding 0 removes the sign of a zero.
+    let [low, high] = [range.low() + 0.0, range.high() + 0.0];
+    if low == high {
+        low.to_string()
     } else {
-        format!("{} to {}", range.low(), range.high())
+        format!("{low} to {high}")
     }
 }
 
@@ -49,8 +51,13 @@ fn round_towards(bound: f64, direction: i64) -> f64 {
         .unwrap_or(bound)
 }
 
-/// Formats a number; with an exponent only where it would have many zeros.
+/// Formats a number without rounding errors; with an exponent only where it would have many zeros.
 pub(crate) fn format_number(number: f64) -> String {
+    /// Significant digits; one more would show the rounding of sums and differences.
+    const EXACT_DIGITS: usize = 15;
+    let number = format!("{number:.*e}", EXACT_DIGITS - 1)
+        .parse()
+        .unwrap_or(number);
     match number == 0.0 || (1e-4..1e7).contains(&number.abs()) {
         true => number.to_string(),
         false => format!("{number:e}"),

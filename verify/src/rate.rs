@@ -146,41 +146,58 @@ pub(crate) fn check_tail(
 #[must_use]
 pub fn binomial_tail_upper_bound(failures: u64, runs: u64, rate: f64) -> f64 {
     match runs {
-        0..=MAX_FACTORWISE_RUNS => {
-            tail_upper_bound(failures, runs, rate, &[(round_up(1.0 - rate), 1)])
-        }
+        0..=MAX_FACTORWISE_RUNS => tail_upper_bound(failures, runs, rate),
         _ if runs > MAX_RUNS => 1.0,
         _ => tail_upper_bound_by_powers(failures, runs, rate),
     }
 }
 
-/// Returns an upper bound of equal accuracy in about k + log n steps instead of n.
-fn tail_upper_bound_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
-    let mut powers = vec![(round_up(1.0 - rate), 1)];
+/// Returns an upper bound of equal accuracy in about min(k, n - k) + √n steps instead of n.
+pub(crate) fn tail_upper_bound_by_powers(failures: u64, runs: u64, rate: f64) -> f64 {
+    let [k, n] = [failures, runs];
+    if k >= n {
+        return 1.0;
+    }
+    let q = round_up(1.0 - rate);
+    // C(n, k) pᵏ qⁿ⁻ᵏ stays the same if failures and successes change places.
+    let term = match k <= n - k {
+        true => last_term(k, n, rate, &powers(q, n)),
+        false => last_term(n - k, n, q, &powers(rate, n)),
+    };
+    sum_of_terms(term, [k, n], rate, NEGLIGIBLE_SHARE)
+}
+
+/// Returns upper bounds of powers of a number, each with its exponent, in increasing order.
+fn powers(base: f64, runs: u64) -> Vec<(f64, u64)> {
+    let mut powers = vec![(base, 1)];
     while let Some(&(power, exponent)) = powers.last()
         && exponent <= runs
         && power * power >= 0.5
     {
         powers.push((round_up(power * power), 2 * exponent));
     }
-    tail_upper_bound(failures, runs, rate, &powers)
+    powers
 }
 
 fn round_up(rounded: f64) -> f64 {
     rounded.next_up()
 }
 
-/// Bounds the tail. `powers` are upper bounds of powers of q = 1 - p, each with its exponent, in increasing order; the
-/// first is q itself. All others must be at least 1/2, so that the product does not underflow.
-fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
-    let [k, n] = [failures, runs];
-    if k >= n {
+/// Bounds the tail with one factor per run.
+fn tail_upper_bound(failures: u64, runs: u64, rate: f64) -> f64 {
+    if failures >= runs {
         return 1.0;
     }
-    let q = round_up(1.0 - rate);
-    // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, is a product of k factors p (n - k + i)/i and n - k factors q. While the product
-    // is below 1, multiply by one of the first kind, else by one of the second, so that it neither overflows nor
-    // underflows early.
+    let term = last_term(failures, runs, rate, &[(round_up(1.0 - rate), 1)]);
+    sum_of_terms(term, [failures, runs], rate, 0.0)
+}
+
+/// Bounds the last term of the tail, C(n, k) pᵏ qⁿ⁻ᵏ. `powers` are upper bounds of powers of q = 1 - p, each with its
+/// exponent, in increasing order; the first is q itself. All others must be at least 1/2, so that the product does not
+/// underflow.
+fn last_term(k: u64, n: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
+    // The term is a product of k factors p (n - k + i)/i and n - k factors q. While the product is below 1, multiply by
+    // one of the first kind, else by one of the second, so that it neither overflows nor underflows early.
     let mut term = 1.0_f64;
     let mut taken = 0;
     let mut damped = 0;
@@ -197,15 +214,30 @@ fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64
         {
             powers = rest;
         }
-        let (power, exponent) = powers.last().copied().unwrap_or((q, 1));
+        let (power, exponent) = powers.last().copied().unwrap_or((1.0, 1));
         damped += exponent;
         term = round_up(term * power);
     }
-    // The terms before it, each from the next: C(n, i-1)/C(n, i) = i/(n - i + 1).
-    let odds = round_up(q / rate);
+    term
+}
+
+/// Share of the sum below which [`sum_of_terms`] bounds all further terms together; far below the rounding of the sum.
+const NEGLIGIBLE_SHARE: f64 = 1e-20;
+
+/// Bounds the sum of the terms 0 to k. `term` is the last one. Terms below a share of the sum are bounded together.
+fn sum_of_terms(mut term: f64, [k, n]: [u64; 2], rate: f64, negligible_share: f64) -> f64 {
+    // Each term follows from the next: C(n, i-1)/C(n, i) = i/(n - i + 1).
+    let odds = round_up(round_up(1.0 - rate) / rate);
     let mut sum = term;
     for i in (1..=k).rev() {
-        term = round_up(term * round_up(round_up(i as f64 / (n - i + 1) as f64) * odds));
+        let ratio = round_up(round_up(i as f64 / (n - i + 1) as f64) * odds);
+        // Further ratios are smaller, so that all further terms are below those of a geometric series.
+        let slack = (1.0 - ratio).next_down();
+        if term < negligible_share * sum * slack {
+            sum = round_up(sum + round_up(term / slack));
+            break;
+        }
+        term = round_up(term * ratio);
         sum = round_up(sum + term);
     }
     sum.min(1.0)
@@ -224,6 +256,10 @@ mod tests {
             (900, 300_000, 3.2e-3),
             (1, 1000, 1e-7),
             (140_000, 300_000, 0.47),
+            (150_000, 300_000, 0.503),
+            (160_000, 300_000, 0.535),
+            (294_000, 300_000, 0.9805),
+            (299_997, 300_000, 0.99999),
         ] {
             let one_by_one = binomial_tail_upper_bound(failures, runs, rate);
             let together = tail_upper_bound_by_powers(failures, runs, rate);
@@ -240,6 +276,38 @@ mod tests {
             actual >= exact && actual < exact * (1.0 + 4e-7),
             "{actual} {exact}"
         );
+    }
+
+    /// Compares with exact fractions, for all numbers of failures.
+    #[test]
+    fn powers_bound_the_exact_tail_closely() {
+        use num_rational::BigRational;
+        use num_traits::{One, Zero};
+        let fraction = |number: f64| BigRational::from_float(number).unwrap();
+        for (runs, rate) in [(1, 0.5), (2, 0.9), (13, 0.03), (24, 0.5), (31, 0.97)] {
+            let [p, q] = [fraction(rate), BigRational::one() - fraction(rate)];
+            let (mut exact, mut choose) = (BigRational::zero(), BigRational::one());
+            for k in 0..runs {
+                exact += &choose * p.pow(k) * q.pow(runs - k);
+                choose *= BigRational::new((runs - k).into(), (k + 1).into());
+                let bound = fraction(tail_upper_bound_by_powers(k as u64, runs as u64, rate));
+                let most = (&exact * fraction(1.0 + 1e-12)).min(BigRational::one());
+                assert!(bound >= exact && bound <= most, "{k} {runs} {rate}");
+            }
+        }
+    }
+
+    /// The terms that are bounded together change nothing that is above the rounding.
+    #[test]
+    fn negligible_terms_are_bounded_together() {
+        for (failures, runs, rate) in [(900, 300_000, 3.2e-3), (294_000, 300_000, 0.9805)] {
+            let term = last_term(failures, runs, rate, &powers(round_up(1.0 - rate), runs));
+            let all = sum_of_terms(term, [failures, runs], rate, 0.0);
+            let most = sum_of_terms(term, [failures, runs], rate, NEGLIGIBLE_SHARE);
+            assert!(most <= all && most >= all * (1.0 - 1e-9), "{most} {all}");
+            let loose = sum_of_terms(term, [failures, runs], rate, 1e-3);
+            assert!(loose > all && loose < all * 1.002, "{loose} {all}");
+        }
     }
 
     #[test]

@@ -68,6 +68,9 @@ impl Certificate {
         }
         match self.statement.subject() {
             ClaimSubject::AnyVehicles => "any two vehicles with these limits".to_owned(),
+            ClaimSubject::AnyNeighbours => {
+                "any leader and any follower with these limits".to_owned()
+            }
             ClaimSubject::Runs(_) => format!("space `{name}`, SHA-256 {sha256}"),
             ClaimSubject::Region(_) => {
                 format!("the limits of scenario `{name}`, SHA-256 {sha256}")

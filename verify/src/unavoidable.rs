@@ -195,8 +195,8 @@ fn bound_branch(scene: &Scene, branch: &Branch, index: usize) -> Result<BranchBo
     check_rows(scene, branch, index)?;
     let sum = WeightedSum::new(scene, branch);
     let sum_m = sum.min_m(scene);
-    let overlap_m = match sum.contact == Interval::ZERO {
-        false => Interval::point(sum_m).over(sum.contact).low(),
+    let overlap_m = match sum.collision == Interval::ZERO {
+        false => Interval::point(sum_m).over(sum.collision).low(),
         true if sum_m > 0.0 => f64::INFINITY,
         true => f64::NEG_INFINITY,
     };
@@ -297,7 +297,7 @@ struct WeightedSum {
     weights: Vec<Vec<[Interval; 2]>>,
     constant: Interval,
     /// Sum of the collision multipliers.
-    contact: Interval,
+    collision: Interval,
 }
 
 impl WeightedSum {
@@ -306,20 +306,20 @@ impl WeightedSum {
         let mut sum = Self {
             weights: vec![vec![[Interval::ZERO; 2]; scene.steps as usize + 1]; egos.len()],
             constant: Interval::ZERO,
-            contact: Interval::ZERO,
+            collision: Interval::ZERO,
         };
         let leader_rear_m = scene.leader_rear_m();
         for (k, y) in nonzero_multipliers(&branch.front) {
             sum.weights[0][k][POSITION] += y;
             sum.constant += -(y * leader_rear_m[k]);
-            sum.contact += y;
+            sum.collision += y;
         }
         for (ahead, rows) in branch.between.iter().enumerate() {
             for (k, y) in nonzero_multipliers(rows) {
                 sum.weights[ahead + 1][k][POSITION] += y;
                 sum.weights[ahead][k][POSITION] += -y;
                 sum.constant += y * Interval::point(egos[ahead].length_m);
-                sum.contact += y;
+                sum.collision += y;
             }
         }
         for (ego, rows) in branch.speed.iter().enumerate() {
@@ -340,7 +340,7 @@ impl WeightedSum {
             self.weights[last][k][POSITION] += -y;
             self.constant +=
                 y * (scene.follower_position_m(follower, branch.first, k as u32) + length_m);
-            self.contact += y;
+            self.collision += y;
         }
         // The row `fired` is the negative of what `unfired` would be at that instant.
         let ttc_s = Interval::point(follower.ttc_s);

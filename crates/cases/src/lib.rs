@@ -1,9 +1,12 @@
-//! Number of cases of every property test in the workspace.
+//! Number of cases of every property test in the workspace, and generators that unit tests of several crates share.
 //!
 //! `PROPERTY_CASES` scales all tests together; the default is 64, and `.ci/nightly` sets 2560. It is not proptest's own
 //! variable, `PROPTEST_CASES`, which replaces the number of each test, so that a test that needs minutes for 64 cases
 //! runs 64, and one that needs a second for 1500, too.
 
+use std::fmt::Debug;
+
+use proptest::prelude::*;
 use proptest::test_runner::Config;
 
 const VARIABLE: &str = "PROPERTY_CASES";
@@ -33,11 +36,23 @@ pub fn with_cases(normal: u32) -> Config {
     }
 }
 
+/// Generates a lane change by each trigger: a time (s), a gap (m), a time to collision (s). The type of lane changes is
+/// that of the caller, because the simulator's own tests use this function.
+pub fn any_lane_change<T: Debug>(
+    at_s: fn(f64) -> T,
+    gap_m: fn(f64) -> T,
+    ttc_s: fn(f64) -> T,
+) -> impl Strategy<Value = T> {
+    prop_oneof![
+        (0.0..7.0_f64).prop_map(at_s),
+        (0.5..40.0_f64).prop_map(gap_m),
+        (0.5..5.0_f64).prop_map(ttc_s),
+    ]
+}
+
 #[cfg(test)]
 mod tests {
     use std::cell::Cell;
-
-    use proptest::prelude::*;
 
     use super::*;
 

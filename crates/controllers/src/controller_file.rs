@@ -1,5 +1,5 @@
 //! Controllers in files: policies, networks, and controller files, which map observations to inputs and outputs to
-//! accelerations.
+//! accelerations, or set a built-in controller.
 
 mod draft;
 
@@ -22,7 +22,9 @@ use crumple_networks::{
 use crumple_process::{
     FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission,
 };
-use crumple_sim::control::{ControllerSource, PolicySource, SourceFile, StartRefusal};
+use crumple_sim::control::{
+    BuiltInController, ControllerSource, PolicySource, SourceFile, StartRefusal,
+};
 use crumple_sim::policy::{Policy, PolicyError};
 
 pub use draft::ControllerFileDraft;
@@ -40,8 +42,13 @@ const CONTROLLER_FILE_VERSION: u32 = 1;
 pub struct ControllerFile {
     /// Version of the format: 1.
     pub version: u32,
-    /// Path of the network from the folder of this file: ONNX or a Stable-Baselines3 model. Excludes `fmu` and
-    /// `command`.
+    /// Name of a built-in controller. Excludes `network`, `fmu` and `command`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub built_in: Option<String>,
+    /// Settings of the built-in controller that differ from their defaults.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub settings: BTreeMap<String, f64>,
+    /// Path of the network from the folder of this file: ONNX or a Stable-Baselines3 model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network: Option<String>,
     /// Path of the FMU from the folder of this file: co-simulation, FMI 2.0 or 3.0.
@@ -93,6 +100,9 @@ pub struct ControllerFile {
     /// Meaning of the output; for a command by default an acceleration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub output: Option<OutputMapping>,
+    /// Real output of an FMU that is above 0.5 while the FMU warns its driver of a forward collision.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warning: Option<String>,
 }
 
 fn default_history() -> usize {
@@ -360,6 +370,9 @@ fn load_controller_file(
     let source = file.controller_source().map_err(wrong)?;
     let field = source.field();
     let setup = match source {
+        ControllerFileSource::BuiltIn(name) => {
+            return Ok(Arc::new(file.built_in_controller(&name).map_err(wrong)?));
+        }
         ControllerFileSource::Network(name) => {
             let controller = file
                 .into_network_controller(&folder.join(name))
@@ -417,7 +430,9 @@ fn fmu_error(path: &Path, problem: FmuProblem) -> ControllerFileError {
     }
 }
 
+#[derive(PartialEq)]
 enum ControllerFileSource {
+    BuiltIn(String),
     Network(String),
     Fmu(String),
     Command(Vec<String>),
@@ -427,6 +442,7 @@ impl ControllerFileSource {
     /// Returns the field of a controller file that states the source.
     fn field(&self) -> &'static str {
         match self {
+            Self::BuiltIn(_) => "built_in",
             Self::Network(_) => "network",
             Self::Fmu(_) => "fmu",
             Self::Command(_) => "command",
@@ -435,6 +451,7 @@ impl ControllerFileSource {
 
     fn description(&self) -> &'static str {
         match self {
+            Self::BuiltIn(_) => "a built-in controller",
             Self::Network(_) => "a network",
             Self::Fmu(_) => "an FMU",
             Self::Command(_) => "a command",
@@ -445,12 +462,13 @@ impl ControllerFileSource {
 impl ControllerFile {
     /// Returns the source, unless a field belongs to another source.
     fn controller_source(&self) -> Result<ControllerFileSource, InvalidMapping> {
+        let built_in = self.built_in.clone().map(ControllerFileSource::BuiltIn);
         let network = self.network.clone().map(ControllerFileSource::Network);
         let fmu = self.fmu.clone().map(ControllerFileSource::Fmu);
         let command = self.command.clone().map(ControllerFileSource::Command);
-        let mut stated = [network, fmu, command].into_iter().flatten();
+        let mut stated = [built_in, network, fmu, command].into_iter().flatten();
         let Some(source) = stated.next() else {
-            let problem = "one of `network`, `fmu` and `command` is required";
+            let problem = "one of `built_in`, `network`, `fmu` and `command` is required";
             return Err(InvalidMapping::new("version", problem));
         };
         if let Some(second) = stated.next() {
@@ -471,59 +489,79 @@ impl ControllerFile {
 
     /// Returns the first field that belongs to another source.
     fn misplaced_field(&self, source: &ControllerFileSource) -> Option<String> {
-        let is_network = matches!(source, ControllerFileSource::Network(_));
-        let is_fmu = matches!(source, ControllerFileSource::Fmu(_));
-        let input = self
-            .inputs
-            .iter()
-            .flatten()
+        use ControllerFileSource as Source;
+        let is_built_in = matches!(source, Source::BuiltIn(_));
+        let is_network = matches!(source, Source::Network(_));
+        let is_fmu = matches!(source, Source::Fmu(_));
+        let is_program = !is_built_in && !is_network;
+        let has_history = !is_built_in && !is_fmu;
+        let inputs = self.inputs.iter().flatten();
+        let input = inputs
+            .into_iter()
             .position(|input| input.variable.is_some());
         let output = self
             .output
             .as_ref()
             .is_some_and(|output| output.variable.is_some());
+        let variable = format!("inputs[{}].variable", input.unwrap_or_default());
         let fields = [
+            ("settings", !self.settings.is_empty() && !is_built_in),
+            ("files", !self.files.is_empty() && (is_fmu || !is_program)),
+            ("deterministic", self.deterministic.is_some() && !is_program),
             (
-                "files".to_owned(),
-                !self.files.is_empty() && (is_network || is_fmu),
+                "start_within_s",
+                self.start_within_s.is_some() && !is_program,
             ),
             (
-                "deterministic".to_owned(),
-                self.deterministic.is_some() && is_network,
+                "answer_within_s",
+                self.answer_within_s.is_some() && !is_program,
             ),
             (
-                "start_within_s".to_owned(),
-                self.start_within_s.is_some() && is_network,
+                "decision_interval_s",
+                self.decision_interval_s.is_some() && is_built_in,
             ),
+            ("inputs", self.inputs.is_some() && is_built_in),
+            ("output", self.output.is_some() && is_built_in),
+            ("history", self.history != default_history() && !has_history),
             (
-                "answer_within_s".to_owned(),
-                self.answer_within_s.is_some() && is_network,
+                "history_padding",
+                !self.history_padding.is_default() && !has_history,
             ),
-            (
-                "history".to_owned(),
-                self.history != default_history() && is_fmu,
-            ),
-            (
-                "history_padding".to_owned(),
-                !self.history_padding.is_default() && is_fmu,
-            ),
-            ("newest_first".to_owned(), self.newest_first && is_fmu),
-            (
-                "normalised".to_owned(),
-                self.normalised.is_some() && !is_network,
-            ),
-            (
-                "parameters".to_owned(),
-                !self.parameters.is_empty() && !is_fmu,
-            ),
-            (
-                format!("inputs[{}].variable", input.unwrap_or_default()),
-                input.is_some() && !is_fmu,
-            ),
-            ("output.variable".to_owned(), output && !is_fmu),
+            ("newest_first", self.newest_first && !has_history),
+            ("normalised", self.normalised.is_some() && !is_network),
+            ("parameters", !self.parameters.is_empty() && !is_fmu),
+            (variable.as_str(), input.is_some() && !is_fmu),
+            ("output.variable", output && !is_fmu),
+            ("warning", self.warning.is_some() && !is_fmu),
         ];
         let misplaced = fields.into_iter().find(|(_, is_misplaced)| *is_misplaced);
-        misplaced.map(|(field, _)| field)
+        misplaced.map(|(field, _)| field.to_owned())
+    }
+
+    /// Returns the built-in controller of that name with the settings of this file.
+    fn built_in_controller(&self, name: &str) -> Result<BuiltInController, InvalidMapping> {
+        if BuiltInController::from_name(name).is_none() {
+            let problem = format!("there is no built-in controller `{name}`");
+            return Err(InvalidMapping::new("built_in", problem));
+        }
+        let mut text = name.to_owned();
+        for (setting, value) in &self.settings {
+            let setting_text = format!(",{setting}={value}");
+            if let Some(Err(invalid)) = BuiltInController::parse(&format!("{name}{setting_text}")) {
+                let field = format!("settings.{setting}");
+                return Err(InvalidMapping::new(field, invalid.to_string()));
+            }
+            text += &setting_text;
+        }
+        match BuiltInController::parse(&text) {
+            Some(Ok(controller)) => Ok(controller),
+            other => {
+                let problem = other
+                    .and_then(Result::err)
+                    .map_or_else(String::new, |invalid| invalid.to_string());
+                Err(InvalidMapping::new("settings", problem))
+            }
+        }
     }
 
     /// Loads the network in the file `path`, and gives it the mapping of this file.
@@ -571,6 +609,7 @@ impl ControllerFile {
         let Self {
             inputs,
             output,
+            warning,
             parameters,
             decision_interval_s,
             ..
@@ -578,6 +617,7 @@ impl ControllerFile {
         FmuConfig {
             inputs,
             output,
+            warning,
             parameters,
             decision_interval_s,
         }

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use crumple_networks::network::NetworkFile;
 use crumple_process::{ExternalPrograms, NameOrigin, ProcessController, ProcessSetup};
-use crumple_sim::control::{BuiltInController, ControllerSource, ShieldedSource, StartRefusal};
+use crumple_sim::control::{
+    BuiltInController, ControllerSource, ShieldedSource, StartRefusal, TestDriverSource,
+};
 use crumple_sim::engine::{NamedController, NotStarted};
 use crumple_sim::policy::PolicyError;
 use crumple_sim::scenario::{DriverProblem, OpenDriver};
@@ -20,7 +22,7 @@ pub enum UnknownController {
     /// Neither a built-in name nor a file.
     #[error(
         "there is no controller `{name}`: use {built_in_names}, a policy, network or controller file, or a command \
-        after `exec:`; each may follow `shield:`"
+        after `exec:`; each may follow `shield:` or `shield2:`"
     )]
     UnknownName {
         /// The requested name.
@@ -173,6 +175,13 @@ pub fn open(
             controller: open(controller, folder, named_by)?,
             settings: *settings,
         }),
+        ControllerSpec::WithTestDriver {
+            settings,
+            controller,
+        } => Arc::new(TestDriverSource {
+            controller: open(controller, folder, named_by)?,
+            settings: settings.clone(),
+        }),
     })
 }
 
@@ -193,16 +202,28 @@ fn open_file(
                 file,
             });
         }
-        let names: Vec<_> = BuiltInController::all()
-            .iter()
-            .map(BuiltInController::name)
-            .collect();
         return Err(UnknownController::UnknownName {
             name: name.to_owned(),
-            built_in_names: names.join(", "),
+            built_in_names: similar_names(name),
         });
     }
     Ok(controller_file::load(&path, named_by)?)
+}
+
+/// Returns the built-in names that an unknown name may mean: with `car:` or `cruise:`, those of cars.
+fn similar_names(name: &str) -> String {
+    let prefix = |name: &str| Some(name.split_once(':')?.0.to_owned());
+    let wanted = prefix(name);
+    let presets = BuiltInController::presets().map(|preset| preset.name);
+    let mut names: Vec<_> = presets
+        .filter(|preset| wanted.is_some() && prefix(preset) == wanted)
+        .collect();
+    if names.is_empty() {
+        let built_in = BuiltInController::all_that_drive();
+        names.extend(built_in.iter().map(BuiltInController::name));
+        names.push("a preset of `crumple list controllers`");
+    }
+    names.join(", ")
 }
 
 /// Returns the file that a name without extension may mean.

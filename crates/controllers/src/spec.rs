@@ -5,15 +5,16 @@ use std::fmt;
 use std::sync::Arc;
 
 use crumple_sim::control::{
-    BuiltIn, BuiltInController, ControllerSource, InvalidSetting, RetrainedPolicy, ShieldSettings,
-    ShieldedSource,
+    BuiltIn, BuiltInController, ControllerSource, InvalidSetting, RetrainedPolicy, ShieldKind,
+    ShieldedSource, TestDriverSettings, TestDriverSource,
 };
 use crumple_sim::engine::NamedController;
 
 const EXEC_PREFIX: &str = "exec:";
 
 /// The controller that a name states, before any file is read: `idm`, `acc-aeb,ttc_s=2.0`, `acc.toml`,
-/// `exec:python3 acc.py`, or one of these behind a shield, `shield,ahead=7:idm`.
+/// `exec:python3 acc.py`, one of these behind a shield, `shield,ahead=7:idm`, or any of these with a test driver,
+/// `test-driver,hold_mps=20:idm`.
 ///
 /// ```
 /// use crumple_controllers::ControllerSpec;
@@ -35,11 +36,18 @@ pub enum ControllerSpec {
         /// Program and arguments.
         words: Vec<String>,
     },
-    /// A controller behind a shield ([`ShieldSettings::parse`]).
+    /// A controller behind a shield ([`ShieldKind::parse`]).
     Shielded {
         /// Settings of the shield.
-        settings: ShieldSettings,
+        settings: ShieldKind,
         /// The controller, which is no shield.
+        controller: Box<Self>,
+    },
+    /// A controller with a test driver ([`TestDriverSettings::parse`]).
+    WithTestDriver {
+        /// Settings of the driver.
+        settings: TestDriverSettings,
+        /// The controller, which has no test driver.
         controller: Box<Self>,
     },
 }
@@ -51,7 +59,12 @@ pub enum InvalidControllerName {
     /// A shield around another shield.
     #[error("only one shield may stand before a controller")]
     NestedShields,
-    /// A wrong setting of a built-in controller or a shield.
+    /// A test driver inside a shield or another test driver.
+    #[error(
+        "only one test driver is possible, before the shield and the controller: `test-driver:shield:policy`"
+    )]
+    TestDriverInside,
+    /// A wrong setting of a built-in controller, a shield or a test driver.
     #[error(transparent)]
     Setting(#[from] InvalidSetting),
     /// A command with invalid quoting.
@@ -68,12 +81,22 @@ impl ControllerSpec {
     /// Parses a name. Any text that is neither built in nor a command is a path.
     ///
     /// # Errors
-    /// [`InvalidControllerName`] for wrong settings, nested shields and commands with invalid quoting.
+    /// [`InvalidControllerName`] for wrong settings, nested shields or test drivers, and commands with invalid quoting.
     pub fn parse(name: &str) -> Result<Self, InvalidControllerName> {
+        let Some((settings, inner)) = split_test_driver(name) else {
+            return Self::parse_without_driver(name);
+        };
+        Ok(Self::WithTestDriver {
+            settings: TestDriverSettings::parse(settings)?,
+            controller: Box::new(Self::parse_without_driver(inner)?),
+        })
+    }
+
+    fn parse_without_driver(name: &str) -> Result<Self, InvalidControllerName> {
         let Some((settings, inner)) = split_shield(name) else {
             return Self::parse_unshielded(name);
         };
-        let settings = ShieldSettings::parse(settings)?;
+        let settings = ShieldKind::parse(settings)?;
         if split_shield(inner).is_some() {
             return Err(InvalidControllerName::NestedShields);
         }
@@ -84,6 +107,9 @@ impl ControllerSpec {
     }
 
     fn parse_unshielded(name: &str) -> Result<Self, InvalidControllerName> {
+        if split_test_driver(name).is_some() {
+            return Err(InvalidControllerName::TestDriverInside);
+        }
         let name = &*present_name(name);
         if let Some(spec) = BuiltInController::parse(name) {
             return Ok(Self::BuiltIn(spec?));
@@ -105,7 +131,9 @@ impl ControllerSpec {
     pub fn file(&self) -> Option<&str> {
         match self {
             Self::File(path) => Some(path),
-            Self::Shielded { controller, .. } => controller.file(),
+            Self::Shielded { controller, .. } | Self::WithTestDriver { controller, .. } => {
+                controller.file()
+            }
             Self::BuiltIn(_) | Self::Command { .. } => None,
         }
     }
@@ -121,6 +149,13 @@ impl ControllerSpec {
             } => Arc::new(ShieldedSource {
                 controller: controller.built_in()?.source,
                 settings: *settings,
+            }),
+            Self::WithTestDriver {
+                settings,
+                controller,
+            } => Arc::new(TestDriverSource {
+                controller: controller.built_in()?.source,
+                settings: settings.clone(),
             }),
             Self::File(_) | Self::Command { .. } => return None,
         };
@@ -139,6 +174,10 @@ impl fmt::Display for ControllerSpec {
             Self::File(path) => out.write_str(path),
             Self::Command { text, .. } => write!(out, "{EXEC_PREFIX}{text}"),
             Self::Shielded {
+                settings,
+                controller,
+            } => write!(out, "{}{controller}", settings.name_prefix()),
+            Self::WithTestDriver {
                 settings,
                 controller,
             } => write!(out, "{}{controller}", settings.name_prefix()),
@@ -167,6 +206,13 @@ fn split_shield(name: &str) -> Option<(&str, &str)> {
     name.strip_prefix("shield")?.split_once(':')
 }
 
+/// Splits `test-driver,SETTINGS:CONTROLLER` into the text after `test-driver`, and the controller.
+fn split_test_driver(name: &str) -> Option<(&str, &str)> {
+    let rest = name.strip_prefix("test-driver")?;
+    rest.split_once(':')
+        .filter(|_| rest.starts_with([',', ':']))
+}
+
 /// Splits a command into words as a shell does; `None` for invalid quoting.
 fn split_command(command: &str) -> Option<Vec<String>> {
     #[cfg(feature = "process")]
@@ -189,6 +235,13 @@ mod tests {
             ("a/b.toml", "a/b.toml"),
             ("exec:sh 'a b'", "exec:sh 'a b'"),
             ("shield,ahead=6.50:acc.onnx", "shield,ahead=6.5:acc.onnx"),
+            ("test-driver/a:b.toml", "test-driver/a:b.toml"),
+            (
+                "test-driver,hold_mps=20.0,delay_s=1:shield:exec:sh 'a b'",
+                "test-driver,hold_mps=20:shield:exec:sh 'a b'",
+            ),
+            ("shield2,level=4.50:idm", "shield2,level=4.5:idm"),
+            ("shield2:exec:sh a", "shield2:exec:sh a"),
         ] {
             let parsed = ControllerSpec::parse(name).unwrap();
             assert_eq!(parsed.to_string(), printed);
@@ -202,5 +255,18 @@ mod tests {
         let refused = ControllerSpec::parse(name);
         assert_eq!(refused, Err(InvalidControllerName::NestedShields));
         assert!(find_built_in(name).is_none());
+    }
+
+    #[test]
+    fn a_test_driver_inside_another_or_a_shield_is_refused() {
+        for name in ["shield:test-driver:idm", "test-driver:test-driver:idm"] {
+            let refused = ControllerSpec::parse(name);
+            assert_eq!(
+                refused,
+                Err(InvalidControllerName::TestDriverInside),
+                "{name}"
+            );
+        }
+        assert!(find_built_in("test-driver:shield:idm").is_some());
     }
 }

@@ -48,6 +48,56 @@ pub fn format_rounded_up(bound: f64, digits: usize) -> String {
     }
 }
 
+/// Returns a lower bound with `digits` significant digits, rounded down, so that it claims no more than was shown.
+///
+/// ```
+/// use crumple_core::digits::format_rounded_down;
+/// assert_eq!(["74.0", "0.259", "9.99"], [74.096, 0.2597, 9.9999].map(|bound| format_rounded_down(bound, 3)));
+/// ```
+#[must_use]
+pub fn format_rounded_down(bound: f64, digits: usize) -> String {
+    let nearest = format_rounded(bound, digits);
+    let Some(shown) = nearest.parse::<f64>().ok().filter(|shown| *shown > bound) else {
+        return nearest;
+    };
+    let (_, exponent) = format_scientific(bound, digits);
+    // Below a power of ten, numbers with as many digits are ten times as dense.
+    let lower = [0, 1].into_iter().filter_map(|size| {
+        let step: f64 = format!("1e{}", exponent + size - digits as i32)
+            .parse()
+            .ok()?;
+        Some(format_rounded(shown - step, digits))
+    });
+    lower
+        .into_iter()
+        .find(|text| text.parse::<f64>().is_ok_and(|shown| shown <= bound))
+        .unwrap_or_else(|| "0".to_owned())
+}
+
+/// Returns a lower bound with a fixed number of decimals, rounded down.
+#[must_use]
+pub fn format_fixed_down(bound: f64, decimals: usize) -> String {
+    format_fixed_towards(bound, decimals, -1.0)
+}
+
+/// Returns an upper bound with a fixed number of decimals, rounded up.
+#[must_use]
+pub fn format_fixed_up(bound: f64, decimals: usize) -> String {
+    format_fixed_towards(bound, decimals, 1.0)
+}
+
+/// Returns a number with a fixed number of decimals, rounded in the direction of a sign.
+fn format_fixed_towards(number: f64, decimals: usize, sign: f64) -> String {
+    let nearest = format_fixed(number, decimals);
+    match nearest.parse::<f64>() {
+        Ok(shown) if sign * shown < sign * number => {
+            let step: f64 = format!("1e-{decimals}").parse().unwrap_or(0.0);
+            format_fixed(shown + sign * step, decimals)
+        }
+        _ => nearest,
+    }
+}
+
 /// Formats a number, with an exponent below 1e-9 and from 1e16 on.
 #[must_use]
 pub fn format_compact(number: f64) -> String {
@@ -175,6 +225,22 @@ mod tests {
         ) {
             let shown: f64 = format_rounded_up(bound, digits).parse().unwrap();
             prop_assert!(shown >= bound, "{shown} is shown for {bound}");
+        }
+
+        #[test]
+        fn rounded_bounds_are_outside_and_less_than_one_step_away(
+            bound in 1e-12..1e12_f64,
+            digits in 1..8_usize,
+            decimals in 0..4_usize,
+        ) {
+            let parse = |text: String| text.parse::<f64>().unwrap();
+            let down = parse(format_rounded_down(bound, digits));
+            let step = 10f64.powi(1 - digits as i32);
+            prop_assert!(down <= bound && down >= bound * (1.0 - 1.000_001 * step), "{down} is shown for {bound}");
+            let step = 1.000_001 * 10f64.powi(-(decimals as i32)) + 1e-15 * bound;
+            let ends = [format_fixed_down, format_fixed_up].map(|format| parse(format(bound, decimals)));
+            prop_assert!(ends[0] <= bound && bound <= ends[1], "{ends:?} is shown for {bound}");
+            prop_assert!(bound - ends[0] < step && ends[1] - bound < step, "{ends:?} is shown for {bound}");
         }
 
         #[test]

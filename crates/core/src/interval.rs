@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::binomial;
+use super::digits::{format_fixed_down, format_fixed_up};
 
 /// A two-sided confidence interval of a rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -25,12 +26,34 @@ impl RateInterval {
             upper: binomial::clopper_pearson_upper(failures, runs, tail),
         }
     }
+
+    /// Returns both ends in percent, rounded outward: `0.2 to 7.1`.
+    #[must_use]
+    pub fn to_percent_text(&self, decimals: usize) -> String {
+        let lower = format_fixed_down(100.0 * self.lower, decimals);
+        let upper = format_fixed_up(100.0 * self.upper, decimals);
+        format!("{lower} to {upper}")
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use statrs::distribution::{Binomial, DiscreteCDF};
+
+    #[test]
+    fn ends_in_percent_are_rounded_outward() {
+        let interval = RateInterval {
+            lower: 0.012_49,
+            upper: 0.074_024,
+        };
+        assert_eq!(interval.to_percent_text(1), "1.2 to 7.5");
+        let all = RateInterval {
+            lower: 0.0,
+            upper: 1.0,
+        };
+        assert_eq!(all.to_percent_text(2), "0.00 to 100.00");
+    }
 
     #[test]
     fn each_end_leaves_its_share_of_the_binomial_tail() {

@@ -1,5 +1,5 @@
 //! Digests, rounded numbers, errors of fields, intervals of rates, quoted text, Markdown, progress, opening of files,
-//! and text files with errors that name a line, for every other crate of crumple.
+//! text files with errors that name a line, and the number of threads, for every other crate of crumple.
 //!
 //! Each module uses only modules above it:
 //!
@@ -17,7 +17,9 @@
 //! | [`markdown`] | a writer of Markdown, with all text escaped |
 //! | [`regular_file`] | opening of files that users name: regular files only |
 //! | [`old_names`] | names that files had in earlier releases |
+//! | [`requirement`] | names of requirements that gates and tests verify |
 //! | [`text_file`] | text files in TOML or JSON, with errors that name line and field |
+//! | [`threads`] | the number of threads of long work |
 
 pub mod binomial;
 pub mod digest;
@@ -31,4 +33,6 @@ pub mod observer;
 pub mod old_names;
 pub mod quoting;
 pub mod regular_file;
+pub mod requirement;
 pub mod text_file;
+pub mod threads;

@@ -31,6 +31,7 @@ pub const TRAINING: OldNames = OldNames {
         ("to_share", "final_factor"),
         ("random_episodes", "learning_starts_episode"),
         ("contact_share", "collision_fraction"),
+        ("contact_reward", "collision_reward"),
         ("useful_draws", "usefulness_draws"),
         ("mean_over_updates", "weight_average_updates"),
         ("imposed", "induced_braking"),
@@ -129,7 +130,8 @@ impl OldNames {
     }
 
     /// Returns the first line of each old name in a TOML text, with the old and the new name, in the order of the file.
-    fn find(&self, text: &str) -> Vec<(usize, &'static str, &'static str)> {
+    #[must_use]
+    pub fn find(&self, text: &str) -> Vec<(usize, &'static str, &'static str)> {
         let values = self.values.iter().map(|(_, rename)| rename);
         let mut names = self.fields.iter().chain(values);
         // Most files have no old name and need not be parsed a second time.

@@ -259,6 +259,11 @@ pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
+/// Returns true if a field is 1. Writers leave such a field out if that is its default.
+pub fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
+    *value == T::from(1)
+}
+
 #[cfg(test)]
 mod tests {
     use std::path::Path;

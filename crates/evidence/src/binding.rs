@@ -119,7 +119,7 @@ pub fn check_binding(
         return check_first_version(certificate, policy);
     }
     match certificate.statement.subject() {
-        ClaimSubject::AnyVehicles => Ok(()),
+        ClaimSubject::AnyVehicles | ClaimSubject::AnyNeighbours => Ok(()),
         ClaimSubject::InitialStates(claim) => check_box(certificate, claim, policy, controllers),
         ClaimSubject::Region(claim) => check_invariant(certificate, claim, policy, controllers),
         ClaimSubject::Runs(registration) => {
@@ -348,10 +348,9 @@ pub(super) fn read_space(
 }
 
 pub(super) fn rebuild_plan(
-    certificate: &Certificate,
+    space: ScenarioSpace,
     registration: &Registration,
     (controller, second_controller): (NamedController, Option<NamedController>),
-    opener: Controllers,
 ) -> Result<RatePlan, BindingError> {
     let estimator = EstimatorKind::ALL
         .into_iter()
@@ -368,7 +367,7 @@ pub(super) fn rebuild_plan(
     Ok(RatePlan::new(RateConfig {
         controller,
         second_controller,
-        space: read_space(certificate, opener)?,
+        space,
         seed,
         estimator,
         runs: registration.runs,
@@ -417,13 +416,12 @@ fn check_registration(
     let Some(controllers) = built_in_controllers(registration) else {
         return Ok(());
     };
-    if rebuild_plan(certificate, registration, controllers, opener)?.registration() == registration
-    {
-        Ok(())
-    } else {
-        Err(mismatch(
+    let plan = rebuild_plan(space, registration, controllers)?;
+    match plan.registration() == registration {
+        true => Ok(()),
+        false => Err(mismatch(
             "registration",
             "does not match the controllers and space that it names",
-        ))
+        )),
     }
 }

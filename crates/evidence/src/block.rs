@@ -42,7 +42,7 @@ impl RunFingerprint {
     pub(super) fn new(result: &SimulationResult) -> Self {
         let (kind, at_s) = match &result.outcome {
             Outcome::NoCollision => (0, 0.0),
-            Outcome::Collision(contact) => (1, contact.time_s),
+            Outcome::Collision(collision) => (1, collision.time_s),
             Outcome::ControllerFailed(failed) => (2, failed.time_s),
         };
         let smallest_m = result

@@ -11,7 +11,9 @@ use crumple_controllers::Controllers;
 use crumple_sim::scenario::{PlantKind, built_in_scenario, file};
 use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::{Certificate, ClaimSubject, ProvedClaim, Scope, WorkLimit, check, check_with};
+pub(crate) use json::{RerunReport, describe_assumptions};
 pub use json::{UncheckedCertificate, report_json, unchecked_json};
+pub(crate) use text::built_in_line;
 pub use text::report_text;
 
 /// Report of the checker on a certificate.
@@ -99,47 +101,50 @@ impl CertificateReport<'_> {
         }
     }
 
-    /// True if the scenario or space of the certificate is the built-in one of that name; `None` without such a name or
-    /// text.
-    fn is_built_in(&self) -> Option<bool> {
-        let provenance = &self.certificate.provenance;
-        let text = provenance
-            .scenario_text
-            .as_ref()
-            .filter(|_| !self.certificate.is_first_version())?;
-        let built_in = match self.certificate.statement.subject() {
-            ClaimSubject::Runs(_) => {
-                space_file::to_identity_toml(&built_in_space(&provenance.scenario)?)
-            }
-            _ => file::to_toml(&built_in_scenario(&provenance.scenario)?),
-        };
-        Some(built_in.is_ok_and(|built_in| built_in == *text))
-    }
-
-    /// Returns the plants of a space; `None` for other statements, which have the plants as an assumption.
-    fn plants(&self) -> Option<&'static str> {
-        let ClaimSubject::Runs(_) = self.certificate.statement.subject() else {
-            return None;
-        };
-        let space = read_space(self.certificate, self.controllers).ok()?;
-        let scenario = space.scenario_at(&space.nominal()).ok()?;
-        let is_multi_body = scenario
-            .vehicles()
-            .iter()
-            .any(|vehicle| vehicle.plant == PlantKind::MultiBody);
-        Some(if is_multi_body {
-            "some of its vehicles have the plant `multi-body`"
-        } else {
-            "its vehicles have the plant `point-mass`"
-        })
-    }
-
     fn scope(&self) -> Scope {
         match count_omitted_vehicles(self.certificate) {
             Some(vehicles) => self.certificate.scope_with_uncovered_vehicles(vehicles),
             None => self.certificate.scope(),
         }
     }
+}
+
+/// Returns true if the scenario or space of the certificate is the built-in one of that name; `None` without such a
+/// name or text.
+pub(crate) fn is_built_in(certificate: &Certificate) -> Option<bool> {
+    let provenance = &certificate.provenance;
+    let text = provenance
+        .scenario_text
+        .as_ref()
+        .filter(|_| !certificate.is_first_version())?;
+    let built_in = match certificate.statement.subject() {
+        ClaimSubject::Runs(_) => {
+            space_file::to_identity_toml(&built_in_space(&provenance.scenario)?)
+        }
+        _ => file::to_toml(&built_in_scenario(&provenance.scenario)?),
+    };
+    Some(built_in.is_ok_and(|built_in| built_in == *text))
+}
+
+/// Returns the plants of a space; `None` for other statements, which have the plants as an assumption.
+pub(crate) fn describe_plants(
+    certificate: &Certificate,
+    controllers: Controllers,
+) -> Option<&'static str> {
+    let ClaimSubject::Runs(_) = certificate.statement.subject() else {
+        return None;
+    };
+    let space = read_space(certificate, controllers).ok()?;
+    let scenario = space.scenario_at(&space.nominal()).ok()?;
+    let is_multi_body = scenario
+        .vehicles()
+        .iter()
+        .any(|vehicle| vehicle.plant == PlantKind::MultiBody);
+    Some(if is_multi_body {
+        "some of its vehicles have the plant `multi-body`"
+    } else {
+        "its vehicles have the plant `point-mass`"
+    })
 }
 
 /// Returns the number of accepted bounds and their joint confidence level by the Bonferroni inequality, if there are

@@ -15,8 +15,9 @@ use crumple_sim::engine::FailedControllerRuns;
 pub struct CountReport {
     /// Digest of the registration.
     pub registration_sha256: String,
-    /// Folder of the count.
-    pub folder: PathBuf,
+    /// Folder of the count; `None` if it no longer exists.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub folder: Option<PathBuf>,
     /// Number of runs.
     pub runs: u64,
     /// Runs in which the controller failed; with two controllers, both.
@@ -27,7 +28,7 @@ pub struct CountReport {
     pub only_second_failed: u64,
     /// Runs without an answer, of the first controller and of the second.
     pub missing_answers: [Option<FailedControllerRuns>; 2],
-    /// Path of the certificate.
+    /// Path of the certificate; its name if the folder no longer exists.
     pub certificate: Option<PathBuf>,
     /// Bound that the checker accepted, for one controller.
     pub rate_at_most: Option<f64>,
@@ -62,7 +63,7 @@ impl CountReport {
         let conclusion = accepted.and_then(|certificate| check(certificate).ok());
         Self {
             registration_sha256: tally.registration_sha256.clone(),
-            folder,
+            folder: Some(folder),
             runs: tally.runs,
             failures: tally.failures,
             only_first_failed: tally.only_first_failed,
@@ -74,6 +75,17 @@ impl CountReport {
             exposure: None,
             summary: tally.summary(plan.record().is_comparison()),
             accepted: conclusion.map(|claim| claim.to_string()),
+        }
+    }
+
+    /// Leaves out the folder, because it is deleted.
+    #[must_use]
+    pub fn without_folder(self) -> Self {
+        let name = |path: PathBuf| path.file_name().map(PathBuf::from);
+        Self {
+            folder: None,
+            certificate: self.certificate.and_then(name),
+            ..self
         }
     }
 
@@ -92,9 +104,10 @@ impl CountReport {
     /// Describes why the counts prove nothing.
     #[must_use]
     pub fn describe_rejection(&self, rejection: &Rejection) -> String {
+        let folder = self.folder.as_ref();
+        let folder = folder.map_or_else(String::new, |path| format!(" in {}", path.display()));
         format!(
-            "the counts in {} prove nothing: {rejection} ({})",
-            self.folder.display(),
+            "the counts{folder} prove nothing: {rejection} ({})",
             self.summary
         )
     }

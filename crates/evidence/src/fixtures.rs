@@ -42,7 +42,7 @@ pub(crate) fn rare_plan(seed: u64, repetitions: usize) -> RarePlan {
         controller: controller("match-leader"),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
-        specification: Specification::NoContact,
+        specification: Specification::NoCollision,
         seed,
         effort: SplittingConfig {
             samples: 50,

@@ -9,6 +9,11 @@ mod block;
 mod certificate_report;
 mod count_report;
 mod count_study;
+mod drive_report;
+mod drive_search;
+pub mod drives;
+#[cfg(test)]
+mod drives_tests;
 pub mod exposure;
 pub mod fit;
 #[cfg(test)]
@@ -19,13 +24,17 @@ mod kernel;
 mod method_comparison;
 mod paired;
 mod planning;
+mod pool;
 pub mod rare;
 mod rate;
 mod reach;
 mod record;
+mod recorded_drive;
+mod remote;
 mod replay_report;
 mod rerun;
 mod script;
+mod two_sided;
 
 pub use binding::{
     BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles,
@@ -37,6 +46,8 @@ pub use certificate_report::{
 pub use count_report::CountReport;
 pub use count_study::{CERTIFICATE_FILE, CountResult, CountState, RateFolderError};
 pub use crumple_core::interval::RateInterval;
+pub use drive_report::{DriveComfort, DriveReport, EventRate};
+pub use drive_search::{DriveFailure, DriveSearch, DriveSearchError};
 pub use invariant::{
     Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantReport, InvariantSet,
     InvariantSpec, InvariantStage,
@@ -45,14 +56,20 @@ pub use kernel::{kernel_certificate, shipped_kernels};
 pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns, PairedTest};
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
+pub use pool::{PoolCheck, PoolError, PoolReport, rejected_pool_json};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use reach::{
     BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, ReachReport, UndecidedCounts,
     VolumeShares, checker_file,
 };
 pub use record::{CountRecord, CountTally};
+pub use remote::{BlockSource, CountedBlocks, RemoteCountError};
 pub use replay_report::{DriveOfRecording, ReplayReport};
 pub use rerun::{BlockSelection, Confirmation, Rerun, RerunError};
+pub use two_sided::{
+    NoTwoSidedCertificate, describe_followers, filter_certificate, initial_state_certificate,
+    plan_certificate,
+};
 
 use crumple_verify::{Certificate, Statement};
 

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use crumple_core::observer::Observer;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignError, CampaignProgress, FirstFailure};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{DiscordantPairs, RateInterval};
 
@@ -21,7 +21,7 @@ const CONFIDENCE: f64 = 0.95;
 ///
 /// Measures follow the falsification category of the ARCH competition: falsification rate, mean and median number of
 /// simulations. Mean and median are those of the falsified runs.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodComparison {
     /// Name of the controller.
     pub controller: String,
@@ -40,7 +40,7 @@ pub struct MethodComparison {
 }
 
 /// Results of one method.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodRuns {
     /// Name of the method.
     pub method: String,
@@ -59,7 +59,7 @@ pub struct MethodRuns {
 }
 
 /// Comparison of two methods on the same seeds. The four tests of all pairs share one correction of Holm.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodPair {
     /// Names of both methods.
     pub methods: [String; 2],
@@ -70,7 +70,7 @@ pub struct MethodPair {
 }
 
 /// Two-sided exact test of discordant pairs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PairedTest {
     /// Seeds in favour of the first method.
     pub first: u64,
@@ -129,14 +129,14 @@ fn median(sorted: &[u64]) -> Option<f64> {
 }
 
 impl MethodRuns {
-    fn new(method: &Method, runs: Vec<FirstFailure>) -> Self {
+    fn new(method: &str, runs: Vec<FirstFailure>) -> Self {
         let mut simulations: Vec<u64> = runs.iter().filter_map(|run| run.simulations).collect();
         simulations.sort_unstable();
         let falsified = simulations.len();
         let interval =
             RateInterval::clopper_pearson(falsified as u64, runs.len() as u64, CONFIDENCE);
         Self {
-            method: method.name().to_owned(),
+            method: method.to_owned(),
             falsified: falsified as u64,
             falsification_rate: falsified as f64 / runs.len() as f64,
             interval: [interval.lower, interval.upper],
@@ -221,8 +221,8 @@ impl MethodComparison {
     /// failure.
     ///
     /// # Errors
-    /// [`CampaignError`] if a number is out of range, there is no method, a scenario cannot be run, or `observer` stops
-    /// the comparison.
+    /// [`CampaignError`] if a number is out of range, there is no method or one twice, a scenario cannot be run, or
+    /// `observer` stops the comparison.
     pub fn run(
         campaign: &Campaign,
         methods: &[Method],
@@ -231,6 +231,10 @@ impl MethodComparison {
     ) -> Result<Self, CampaignError> {
         CampaignError::check_range("seeds", seeds, 1..=MAX_SEEDS)?;
         CampaignError::check_range("methods", methods.len() as u64, 1..=MAX_METHODS)?;
+        let mut indexed = methods.iter().enumerate();
+        if let Some((_, repeated)) = indexed.find(|(i, method)| methods[..*i].contains(method)) {
+            return Err(CampaignError::RepeatedMethod(repeated.clone()));
+        }
         let budget = campaign.search.budget;
         let mut progress = ComparisonProgress {
             observer,
@@ -249,7 +253,7 @@ impl MethodComparison {
                     ..campaign.clone().with_method(method.clone())
                 })?);
             }
-            results.push(MethodRuns::new(method, runs));
+            results.push(MethodRuns::new(method.name(), runs));
         }
         Ok(Self {
             controller: campaign.controller.name.clone(),
@@ -260,6 +264,43 @@ impl MethodComparison {
             pairs: compare_pairs(&results),
             methods: results,
         })
+    }
+
+    /// Joins comparisons of the same methods with consecutive seeds, in this order. Returns `None` without a part, or
+    /// if the parts do not fit each other.
+    #[must_use]
+    pub fn join(parts: &[Self]) -> Option<Self> {
+        let first = parts.first()?;
+        let mut results = Vec::with_capacity(first.methods.len());
+        for (index, method) in first.methods.iter().enumerate() {
+            let mut runs = Vec::new();
+            for part in parts {
+                let seed = first.first_seed.checked_add(runs.len() as u64)?;
+                let same = part.methods.get(index)?;
+                if part.first_seed != seed
+                    || !part.has_problem_of(first)
+                    || same.method != method.method
+                {
+                    return None;
+                }
+                runs.extend(same.runs.iter().cloned());
+            }
+            results.push(MethodRuns::new(&method.method, runs));
+        }
+        Some(Self {
+            pairs: compare_pairs(&results),
+            methods: results,
+            ..first.clone()
+        })
+    }
+
+    /// True if both comparisons have the same problem and number of methods.
+    fn has_problem_of(&self, other: &Self) -> bool {
+        self.controller == other.controller
+            && self.space == other.space
+            && self.specification == other.specification
+            && self.budget == other.budget
+            && self.methods.len() == other.methods.len()
     }
 
     /// Returns a table of the methods, and one of their pairs.
@@ -352,10 +393,7 @@ mod tests {
             simulations,
             least_robustness: 1.0,
         };
-        MethodRuns {
-            method: name.to_owned(),
-            ..MethodRuns::new(&Method::Auto, simulations.iter().map(run).collect())
-        }
+        MethodRuns::new(name, simulations.iter().map(run).collect())
     }
 
     #[test]
@@ -421,18 +459,20 @@ mod tests {
     }
 
     #[test]
-    fn a_method_does_not_differ_from_itself_and_each_run_has_its_seed() {
+    fn each_run_has_its_seed_and_a_repeated_method_is_refused() {
         let controller = BuiltInController::from_name("match-leader").unwrap();
         let campaign =
             Campaign::new(controller, built_in_space("high-risk").unwrap()).with_budget(60);
-        let methods = [Method::Uniform, Method::Uniform, Method::Halton];
-        let compared = MethodComparison::run(&campaign, &methods, 4, &Quiet).unwrap();
-        assert_eq!(compared.methods[0], compared.methods[1]);
-        assert_eq!(
-            (compared.pairs.len(), compared.pairs[0].fewer_simulations.p),
-            (3, 1.0)
+        let repeated = [Method::Uniform, Method::Halton, Method::Uniform];
+        let refused = MethodComparison::run(&campaign, &repeated, 4, &Quiet).unwrap_err();
+        assert!(
+            matches!(refused, CampaignError::RepeatedMethod(Method::Uniform)),
+            "{refused}"
         );
-        assert_eq!(compared.to_csv().lines().count(), 13);
+        let methods = [Method::Uniform, Method::Halton];
+        let compared = MethodComparison::run(&campaign, &methods, 4, &Quiet).unwrap();
+        assert_eq!(compared.pairs.len(), 1);
+        assert_eq!(compared.to_csv().lines().count(), 9);
         let third = Campaign {
             seed: 2,
             ..campaign.with_method(Method::Uniform)
@@ -441,5 +481,32 @@ mod tests {
         .unwrap();
         assert_eq!(third, compared.methods[0].runs[2]);
         assert_ne!(third, compared.methods[0].runs[0]);
+    }
+
+    #[test]
+    fn comparisons_of_single_seeds_join_to_the_comparison_of_all() {
+        let controller = BuiltInController::from_name("match-leader").unwrap();
+        let campaign =
+            Campaign::new(controller, built_in_space("high-risk").unwrap()).with_budget(40);
+        let methods = [Method::Uniform, Method::Halton];
+        let compare = |seed: u64, seeds: u64| {
+            let campaign = Campaign {
+                seed,
+                ..campaign.clone()
+            };
+            MethodComparison::run(&campaign, &methods, seeds, &Quiet).unwrap()
+        };
+        // As a worker sends them.
+        let parts: Vec<MethodComparison> = (5..8)
+            .map(|seed| {
+                serde_json::from_value(serde_json::to_value(compare(seed, 1)).unwrap()).unwrap()
+            })
+            .collect();
+        assert_eq!(MethodComparison::join(&parts), Some(compare(5, 3)));
+        assert_eq!(MethodComparison::join(&[]), None);
+        assert_eq!(
+            MethodComparison::join(&[parts[0].clone(), parts[2].clone()]),
+            None
+        );
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 use crumple_verify::rate::MAX_RUNS;
 use crumple_verify::{Certificate, Registration};
@@ -10,7 +11,9 @@ use rayon::prelude::*;
 use super::block::{CountedBlock, RunFingerprint};
 use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
+use super::remote::{BlockSource, RemoteCountError};
 use crumple_core::digest::sha256;
+use crumple_core::field_error::FieldError;
 use crumple_core::observer::{Observer, ProgressCounter, Quiet, RunProgress, Stopped};
 use crumple_sim::engine::{
     NamedController, RecordingLevel, RefusedController, Run, RunError, RunOptions, simulate_batch,
@@ -48,6 +51,8 @@ pub struct RatePlan {
     /// Number of resamples of the episodes that the space was fitted to, and of runs in each.
     resampling: (u32, u32),
     record: CountRecord,
+    /// Counts the blocks instead of this process.
+    block_source: Option<Arc<dyn BlockSource>>,
 }
 
 const DEFAULT_RESAMPLING: (u32, u32) = (200, 500);
@@ -91,12 +96,15 @@ impl RateConfig {
 
     fn check(&self) -> Result<(), InvalidRate> {
         if !(1..=MAX_RUNS).contains(&self.runs) {
-            return Err(InvalidRate::Runs { found: self.runs });
+            let problem = format!("must be from 1 to {MAX_RUNS}, found {}", self.runs);
+            return Err(InvalidRate::OutOfRange(FieldError::new("runs", problem)));
         }
         if !(self.confidence > 0.5 && self.confidence < 1.0) {
-            return Err(InvalidRate::Confidence {
-                found: self.confidence,
-            });
+            let problem = format!("must be above 0.5 and below 1, found {}", self.confidence);
+            return Err(InvalidRate::OutOfRange(FieldError::new(
+                "confidence",
+                problem,
+            )));
         }
         let space = &self.space;
         if space
@@ -105,6 +113,17 @@ impl RateConfig {
         {
             return Err(InvalidRate::NoVehicleUnderTest {
                 space: space.name().to_owned(),
+            });
+        }
+        let identities: Vec<_> = self
+            .controllers()
+            .map(|controller| controller.source.identity())
+            .collect();
+        if let [Some(first), Some(second)] = identities.as_slice()
+            && first == second
+        {
+            return Err(InvalidRate::ComparedWithItself {
+                controller: self.controller.name.clone(),
             });
         }
         let mut controllers = self.controllers();
@@ -163,15 +182,20 @@ impl RateConfig {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidRate {
-    /// The number of runs is out of range.
-    #[error("runs: must be from 1 to {MAX_RUNS}, found {found}")]
-    Runs {
-        /// Number in the configuration.
-        found: u64,
-    },
+    /// The number of runs or the confidence level is out of range.
+    #[error(transparent)]
+    OutOfRange(#[from] FieldError),
     /// A controller has no identity.
     #[error("the controller `{controller}` states no identity, so no claim about it is possible")]
     NoIdentity {
+        /// Name of the controller.
+        controller: String,
+    },
+    /// A controller is compared with itself.
+    #[error(
+        "the controller `{controller}` is compared with itself: choose another controller to compare with"
+    )]
+    ComparedWithItself {
         /// Name of the controller.
         controller: String,
     },
@@ -180,12 +204,6 @@ pub enum InvalidRate {
     NoVehicleUnderTest {
         /// Name of the space.
         space: String,
-    },
-    /// The confidence level is out of range.
-    #[error("confidence: must be above 0.5 and below 1, found {found}")]
-    Confidence {
-        /// Value in the configuration.
-        found: f64,
     },
     /// The space cannot be written down.
     #[error("the space cannot be written as TOML: {0}")]
@@ -218,6 +236,9 @@ pub enum RateError {
     /// A controller contradicted itself, or can no longer be started.
     #[error(transparent)]
     Refused(#[from] RefusedController),
+    /// The source of counted blocks has none, or unsuitable ones.
+    #[error(transparent)]
+    Remote(#[from] RemoteCountError),
     /// The observer stopped the count.
     #[error("the count was {0}")]
     Stopped(#[from] Stopped),
@@ -269,7 +290,17 @@ impl RatePlan {
                 registration,
                 space_text,
             },
+            block_source: None,
         })
+    }
+
+    /// Takes counted blocks from a source, such as other machines, instead of simulating them here.
+    #[must_use]
+    pub fn with_block_source(self, source: Arc<dyn BlockSource>) -> Self {
+        Self {
+            block_source: Some(source),
+            ..self
+        }
     }
 
     /// Sets the number of resamples of the episodes, and of runs in each. They do not affect the count and are not
@@ -328,15 +359,37 @@ impl RatePlan {
     ) -> Result<(), RateError> {
         let so_far = self.progress(tally);
         let first = tally.blocks.len() as u64;
-        let together = (BATCH_SIZE / self.record.block_runs()).max(1);
-        let blocks = first..first.saturating_add(together).min(self.block_count());
-        let counted = self.count_runs(self.record.run_range(blocks.clone()), &|| {
-            observer.notify(&so_far)
-        })?;
-        for (index, block) in blocks.zip(counted) {
+        let keep_going = || observer.notify(&so_far);
+        let counted = match &self.block_source {
+            Some(source) => {
+                keep_going()?;
+                source.next_blocks(self, first)?
+            }
+            None => {
+                let together = (BATCH_SIZE / self.record.block_runs()).max(1);
+                let blocks = first..first.saturating_add(together).min(self.block_count());
+                self.count_runs(self.seed, self.record.run_range(blocks), &keep_going)?
+            }
+        };
+        for (index, block) in (first..).zip(counted) {
             tally.add_block(range_len(&self.run_range(index)), block);
         }
         Ok(())
+    }
+
+    /// Counts blocks, independently of earlier counts, for another process that [takes](Self::with_block_source) them.
+    ///
+    /// # Errors
+    /// [`RateError`] names the failed run, or is [`RateError::Stopped`].
+    pub fn count_blocks(
+        &self,
+        blocks: Range<u64>,
+        observer: &dyn Observer<RunProgress>,
+    ) -> Result<Vec<CountedBlock>, RateError> {
+        let counter = ProgressCounter::new(observer, None);
+        self.count_runs(self.seed, self.record.run_range(blocks), &|| {
+            counter.add(BATCH_SIZE)
+        })
     }
 
     pub(super) fn progress(&self, tally: &CountTally) -> CountProgress {
@@ -368,16 +421,33 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the failed run.
     pub fn recount_block(&self, block: u64) -> Result<CountedBlock, RateError> {
-        Ok(self
-            .count_runs(self.run_range(block), &|| Ok(()))?
-            .pop()
-            .unwrap_or_default())
+        self.recount_block_of_seed(self.seed, block)
     }
 
-    /// Counts runs, the first of which starts a block, and returns the counts of each block. Calls `keep_going` after
-    /// every thousand runs.
+    /// Counts the runs of a block as [`Self::recount_block`], with another seed.
+    pub(super) fn recount_block_of_seed(
+        &self,
+        seed: u64,
+        block: u64,
+    ) -> Result<CountedBlock, RateError> {
+        let mut counted = self.count_runs(seed, self.run_range(block), &|| Ok(()))?;
+        Ok(counted.pop().unwrap_or_default())
+    }
+
+    /// Returns the registration with another seed.
+    pub(super) fn registration_of_seed(&self, seed: u64) -> Registration {
+        let mut registration = self.registration().clone();
+        registration
+            .configuration
+            .insert("seed".to_owned(), seed.to_string());
+        registration
+    }
+
+    /// Counts runs of a seed, the first of which starts a block, and returns the counts of each block. Calls
+    /// `keep_going` after every thousand runs.
     fn count_runs(
         &self,
+        seed: u64,
         runs: Range<u64>,
         keep_going: &dyn Fn() -> Result<(), Stopped>,
     ) -> Result<Vec<CountedBlock>, RateError> {
@@ -391,13 +461,13 @@ impl RatePlan {
             for (all, mut more) in
                 endings
                     .iter_mut()
-                    .zip(self.simulate_fingerprints(&self.space, self.seed, batch)?)
+                    .zip(self.simulate_fingerprints(&self.space, seed, batch)?)
             {
                 all.append(&mut more);
             }
             keep_going()?;
         }
-        let registered = self.registration().digest();
+        let registered = self.registration_of_seed(seed).digest();
         let block_runs = self.record.block_runs() as usize;
         let blocks = indices.chunks(block_runs).enumerate();
         let counted = blocks.map(|(block, block_indices)| {

@@ -384,7 +384,7 @@ impl ReachPlan {
             claim,
         };
         // Run one initial state now, so that errors not checked above surface here.
-        plan.has_contact_at(&[0.5; 8])?;
+        plan.has_collision_at(&[0.5; 8])?;
         Ok(plan)
     }
 
@@ -481,7 +481,7 @@ impl ReachPlan {
                 shares[BoxDimension::LeaderBrakeMps2 as usize] = 1.0;
             }
             let point = interpolate(&cell.scripted_ranges(), &shares);
-            if self.has_contact(&point)?
+            if self.has_collision(&point)?
                 && cell
                     .at_point(&point)
                     .is_some_and(|problem| reach(&problem).surely_collides)
@@ -527,8 +527,8 @@ impl ReachPlan {
         }
     }
 
-    fn has_contact_at(&self, shares: &[f64; 8]) -> Result<bool, InvalidBox> {
-        self.has_contact(&interpolate(&self.claim.ranges, shares))
+    fn has_collision_at(&self, shares: &[f64; 8]) -> Result<bool, InvalidBox> {
+        self.has_collision(&interpolate(&self.claim.ranges, shares))
     }
 
     /// Returns an initial state of the box as a scenario; the order is that of the ranges.
@@ -568,7 +568,7 @@ impl ReachPlan {
         scenario.map_err(map_invalid_start)
     }
 
-    fn has_contact(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
+    fn has_collision(&self, point: &[f64; 8]) -> Result<bool, InvalidBox> {
         let scenario = self.scenario_at(point)?;
         let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options)?;

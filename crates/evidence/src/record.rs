@@ -71,12 +71,12 @@ impl CountTally {
         let counts = if is_of_two {
             format!(
                 "{only_first_failed} runs in which only the first failed, {only_second_failed} only the second, \
-                 {failures} both"
+                 {failures} both, of {runs} runs"
             )
         } else {
-            format!("{failures} failures")
+            format!("{failures} failures in {runs} runs")
         };
-        format!("{counts}, of {runs} runs{}", self.missing_answers_summary())
+        counts + &self.missing_answers_summary()
     }
 
     /// Describes missing answers, each after a semicolon; empty without any.
@@ -152,7 +152,7 @@ impl CountRecord {
     }
 
     /// True if the counts of a block are within its runs, and it has a hash.
-    fn is_possible_block(&self, index: u64, block: &CountedBlock) -> bool {
+    pub(super) fn is_possible_block(&self, index: u64, block: &CountedBlock) -> bool {
         let CountedBlock {
             failures,
             only_first_failed,

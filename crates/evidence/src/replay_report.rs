@@ -2,7 +2,6 @@
 
 use serde::Serialize;
 
-use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::recording::replay::{ReplayedBraking, ReplayedDrive};
 
@@ -186,9 +185,9 @@ impl UnnecessaryReport {
     }
 
     fn describe(&self, who: &str) -> String {
-        let per_hour = describe_rate(&self.per_hour);
+        let per_hour = self.per_hour;
         let per_100_km = match &self.per_100_km {
-            Some(rate) => describe_rate(rate),
+            Some(rate) => rate.to_string(),
             None => "not defined".to_owned(),
         };
         format!(
@@ -200,16 +199,10 @@ impl UnnecessaryReport {
     }
 }
 
-fn describe_rate(rate: &IntervalEstimate) -> String {
-    let [estimate, lower, upper] =
-        [rate.estimate, rate.lower, rate.upper].map(|value| format_rounded(value, 3));
-    format!("{estimate} ({lower} to {upper})")
-}
-
 fn times(count: u64) -> String {
     format!("{count} time{}", plural(count))
 }
 
-fn plural(count: u64) -> &'static str {
+pub(crate) fn plural(count: u64) -> &'static str {
     if count == 1 { "" } else { "s" }
 }

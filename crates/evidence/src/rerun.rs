@@ -1,7 +1,7 @@
-//! Confirmation of the counts of a certificate by repeating runs. A certificate has a hash of the results of each
-//! block. A checker repeats all blocks, or a sample that is chosen after the file was fixed, and compares counts and
-//! hashes. Forging k runs changes a >= ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses the forgery with
-//! probability at most C(m - a, s)/C(m, s).
+//! Confirmation of the counts of a certificate, or of a pool, by repeating runs. A certificate has a hash of the
+//! results of each block. A checker repeats all blocks, or a sample that is chosen after the file was fixed, and
+//! compares counts and hashes. Forging k runs changes a >= ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks
+//! misses the forgery with probability at most C(m - a, s)/C(m, s).
 
 use crumple_controllers::Controllers;
 use crumple_verify::{Certificate, ClaimSubject, Registration};
@@ -73,8 +73,10 @@ pub enum RerunError {
     #[error("counting again was {0}")]
     Stopped(#[from] Stopped),
     /// The counts differ.
-    #[error("blocks[{block}], runs {first} to {last}: {problem}")]
+    #[error("blocks[{block}], runs {first} to {last}{}: {problem}", describe_seed(*seed))]
     Refuted {
+        /// Seed of the count, in a pool.
+        seed: Option<u64>,
         /// Index of the block.
         block: u64,
         /// First run of the block.
@@ -86,11 +88,23 @@ pub enum RerunError {
     },
 }
 
-/// A certificate of counts that can be counted again.
+fn describe_seed(seed: Option<u64>) -> String {
+    seed.map_or_else(String::new, |seed| format!(" of seed {seed}"))
+}
+
+/// Counts that can be repeated: those of one certificate, or of the certificates of a pool.
 pub struct Rerun {
+    /// Plan of the first certificate. The others differ from it in the seed only.
     plan: RatePlan,
+    /// Counts of one seed each. All have the same number of blocks, which are numbered consecutively.
+    counts: Vec<StatedCount>,
+}
+
+/// Counts that a certificate states.
+struct StatedCount {
+    seed: u64,
     /// Counts and digest of each block.
-    stated_blocks: Vec<([u64; 2], String)>,
+    blocks: Vec<([u64; 2], String)>,
     /// SHA-256 of the certificate; part of the seed of the sample.
     digest: String,
 }
@@ -134,6 +148,54 @@ impl Confirmation {
     }
 }
 
+impl StatedCount {
+    /// Reads the counts of a certificate of version 2, and its registration.
+    fn read(certificate: &Certificate) -> Result<(Self, &Registration), RerunError> {
+        let statement = &certificate.statement;
+        let nothing_counted = || RerunError::NothingCounted(statement.name());
+        let ClaimSubject::Runs(registration) = statement.subject() else {
+            return Err(nothing_counted());
+        };
+        let blocks = statement.counted_blocks().ok_or_else(nothing_counted)?;
+        if certificate.is_first_version() {
+            return Err(RerunError::NoBlocks);
+        }
+        let seed = configuration_value(registration, "seed").parse();
+        let count = Self {
+            seed: seed.map_err(|_| RerunError::OtherRegistration)?,
+            blocks,
+            digest: certificate.digest(),
+        };
+        Ok((count, registration))
+    }
+}
+
+/// Rebuilds the plan of a registration of this release.
+fn rebuild_plan(
+    certificate: &Certificate,
+    registration: &Registration,
+    given: &[NamedController],
+    opener: Controllers,
+) -> Result<RatePlan, RerunError> {
+    let release = configuration_value(registration, "crumple");
+    if release != env!("CARGO_PKG_VERSION") {
+        return Err(RerunError::OtherRelease {
+            counting_release: release.escape_debug().to_string(),
+        });
+    }
+    let controllers = match binding::built_in_controllers(registration) {
+        Some(controllers) => controllers,
+        None => {
+            let first = find_given(given, registration, "controller")?;
+            let is_comparison = registration.configuration.contains_key("against");
+            let second = is_comparison.then(|| find_given(given, registration, "against"));
+            (first, second.transpose()?)
+        }
+    };
+    let space = binding::read_space(certificate, opener)?;
+    Ok(binding::rebuild_plan(space, registration, controllers)?)
+}
+
 impl Rerun {
     /// Prepares a confirmation. Controllers that are not built in must be in `given`. `opener` opens the drivers that
     /// the space names as files.
@@ -145,54 +207,60 @@ impl Rerun {
         given: &[NamedController],
         opener: Controllers,
     ) -> Result<Self, RerunError> {
-        let statement = &certificate.statement;
-        let ClaimSubject::Runs(registration) = statement.subject() else {
-            return Err(RerunError::NothingCounted(statement.name()));
+        let (count, registration) = StatedCount::read(certificate)?;
+        let mut rerun = Self {
+            plan: rebuild_plan(certificate, registration, given, opener)?,
+            counts: Vec::new(),
         };
-        let Some(stated) = statement.counted_blocks() else {
-            return Err(RerunError::NothingCounted(statement.name()));
-        };
-        if certificate.is_first_version() {
-            return Err(RerunError::NoBlocks);
-        }
-        let release = configuration_value(registration, "crumple");
-        if release != env!("CARGO_PKG_VERSION") {
-            return Err(RerunError::OtherRelease {
-                counting_release: release.escape_debug().to_string(),
-            });
-        }
-        let controllers = match binding::built_in_controllers(registration) {
-            Some(controllers) => controllers,
-            None => {
-                let first = find_given(given, registration, "controller")?;
-                let is_comparison = registration.configuration.contains_key("against");
-                let second = is_comparison.then(|| find_given(given, registration, "against"));
-                (first, second.transpose()?)
-            }
-        };
-        let plan = binding::rebuild_plan(certificate, registration, controllers, opener)?;
-        if plan.registration() != registration || plan.block_count() != stated.len() as u64 {
+        rerun.push(count, registration)?;
+        Ok(rerun)
+    }
+
+    /// Adds the counts of another certificate of a pool, whose registration differs in the seed only.
+    ///
+    /// # Errors
+    /// [`RerunError`] if the counts cannot be repeated.
+    pub fn add(&mut self, certificate: &Certificate) -> Result<(), RerunError> {
+        let (count, registration) = StatedCount::read(certificate)?;
+        self.push(count, registration)
+    }
+
+    fn push(&mut self, count: StatedCount, registration: &Registration) -> Result<(), RerunError> {
+        let is_of_plan = self.plan.registration_of_seed(count.seed) == *registration
+            && self.plan.block_count() == count.blocks.len() as u64;
+        if !is_of_plan {
             return Err(RerunError::OtherRegistration);
         }
-        Ok(Self {
-            plan,
-            stated_blocks: stated,
-            digest: certificate.digest(),
-        })
+        self.counts.push(count);
+        Ok(())
+    }
+
+    fn block_count(&self) -> u64 {
+        self.plan.block_count() * self.counts.len() as u64
+    }
+
+    /// Returns the count that contains a block, and the block's index in it.
+    fn locate(&self, block: u64) -> Option<(&StatedCount, u64)> {
+        let each = self.plan.block_count();
+        let count = self.counts.get((block / each) as usize)?;
+        Some((count, block % each))
+    }
+
+    /// Returns the number of runs of the block with an index in its count.
+    fn block_run_count(&self, index: u64) -> u64 {
+        let runs = self.plan.run_range(index);
+        runs.end - runs.start
     }
 
     /// Returns the number of runs in a sample.
     #[must_use]
     pub fn run_count(&self, sample: BlockSelection) -> u64 {
-        self.select_blocks(sample)
-            .into_iter()
-            .map(|block| self.block_run_count(block))
-            .sum()
+        self.count_runs(&self.select_blocks(sample))
     }
 
-    fn block_run_count(&self, block: u64) -> u64 {
-        let runs = self.plan.run_range(block);
-        runs.end - runs.start
+    fn count_runs(&self, blocks: &[u64]) -> u64 {
+        let blocks = blocks.iter().filter_map(|&block| self.locate(block));
+        blocks.map(|(_, index)| self.block_run_count(index)).sum()
     }
 
     /// Counts a sample again.
@@ -205,13 +273,13 @@ impl Rerun {
         sample: BlockSelection,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<Confirmation, RerunError> {
-        let counter = ProgressCounter::new(observer, Some(self.run_count(sample)));
         let blocks = self.select_blocks(sample);
-        let comparisons = blocks.par_iter().map(|&block| {
+        let counter = ProgressCounter::new(observer, Some(self.count_runs(&blocks)));
+        let located = blocks.par_iter().filter_map(|&block| self.locate(block));
+        let comparisons = located.map(|(count, index)| {
             counter.add(0)?;
-            let recounted = self.plan.recount_block(block)?;
-            counter.add(self.block_run_count(block))?;
-            self.compare_block(block, &recounted)
+            self.compare_block(count, index)?;
+            Ok(counter.add(self.block_run_count(index))?)
         });
         // Report the first error in order of blocks, independent of threads.
         comparisons
@@ -220,31 +288,75 @@ impl Rerun {
             .collect::<Result<(), RerunError>>()?;
         Ok(Confirmation {
             blocks: blocks.len() as u64,
-            total_blocks: self.plan.block_count(),
-            runs: blocks
-                .iter()
-                .map(|&block| self.block_run_count(block))
-                .sum(),
-            total_runs: self.plan.registration().runs,
+            total_blocks: self.block_count(),
+            runs: self.count_runs(&blocks),
+            total_runs: self.plan.registration().runs * self.counts.len() as u64,
             block_runs: self.block_run_count(0),
         })
     }
 
+    /// Counts a block again, and compares it with the stated one.
+    fn compare_block(&self, count: &StatedCount, index: u64) -> Result<(), RerunError> {
+        let recounted = self.plan.recount_block_of_seed(count.seed, index)?;
+        let Some((stated, sha256)) = count.blocks.get(index as usize) else {
+            return Err(RerunError::OtherRegistration);
+        };
+        let problem = if let Some(problem) = self.describe_difference(*stated, &recounted) {
+            problem
+        } else if *sha256 != recounted.sha256 {
+            "when repeated, the runs have other results than the certificate states".to_owned()
+        } else {
+            return Ok(());
+        };
+        let runs = self.plan.run_range(index);
+        Err(RerunError::Refuted {
+            seed: (self.counts.len() > 1).then_some(count.seed),
+            block: index,
+            first: runs.start,
+            last: runs.end.saturating_sub(1),
+            problem,
+        })
+    }
+
+    /// Describes how stated counts of a block differ from new ones; `None` if they are equal.
+    fn describe_difference(&self, stated: [u64; 2], recounted: &CountedBlock) -> Option<String> {
+        let is_rate = self.plan.has_single_controller();
+        let counts = match is_rate {
+            true => [recounted.failures, 0],
+            false => [recounted.only_first_failed, recounted.only_second_failed],
+        };
+        let text = match is_rate {
+            _ if stated == counts => return None,
+            true => format!(
+                "{} runs failed when repeated, and the certificate states {}",
+                counts[0], stated[0]
+            ),
+            false => format!(
+                "when repeated, only the first controller failed in {} runs and only the second in {}, and the \
+                 certificate states {} and {}",
+                counts[0], counts[1], stated[0], stated[1]
+            ),
+        };
+        Some(text)
+    }
+
     /// Returns the blocks with the smallest hashes of index, seed and certificate, in order.
     fn select_blocks(&self, sample: BlockSelection) -> Vec<u64> {
-        let all = 0..self.plan.block_count();
+        let all = 0..self.block_count();
         let BlockSelection::Sample { percent, seed } = sample else {
             return all.collect();
         };
-        let count = self.plan.block_count();
-        let wanted = ((percent / 100.0 * count as f64).ceil() as u64).clamp(1, count) as usize;
-        let hashed = all.map(|block| {
+        let count = self.block_count();
+        let wanted =
+            ((percent / 100.0 * count as f64).ceil() as u64).clamp(1, count.max(1)) as usize;
+        let hashed = all.filter_map(|block| {
+            let (count, index) = self.locate(block)?;
             let hash = Sha256::default()
                 .with(seed.to_le_bytes())
-                .with(&self.digest)
-                .with(block.to_le_bytes())
+                .with(&count.digest)
+                .with(index.to_le_bytes())
                 .finish();
-            (hash, block)
+            Some((hash, block))
         });
         let mut order: Vec<([u8; 32], u64)> = hashed.collect();
         order.sort_unstable();
@@ -255,41 +367,6 @@ impl Rerun {
             .collect();
         blocks.sort_unstable();
         blocks
-    }
-
-    fn compare_block(&self, block: u64, recounted: &CountedBlock) -> Result<(), RerunError> {
-        let is_rate = self.plan.has_single_controller();
-        let counts = if is_rate {
-            [recounted.failures, 0]
-        } else {
-            [recounted.only_first_failed, recounted.only_second_failed]
-        };
-        let Some((stated, sha256)) = self.stated_blocks.get(block as usize) else {
-            return Err(RerunError::OtherRegistration);
-        };
-        let problem = if *stated != counts && is_rate {
-            format!(
-                "{} runs failed when repeated, and the certificate states {}",
-                counts[0], stated[0]
-            )
-        } else if *stated != counts {
-            format!(
-                "when repeated, only the first controller failed in {} runs and only the second in {}, and the \
-                 certificate states {} and {}",
-                counts[0], counts[1], stated[0], stated[1]
-            )
-        } else if *sha256 != recounted.sha256 {
-            "when repeated, the runs have other results than the certificate states".to_owned()
-        } else {
-            return Ok(());
-        };
-        let runs = self.plan.run_range(block);
-        Err(RerunError::Refuted {
-            block,
-            first: runs.start,
-            last: runs.end.saturating_sub(1),
-            problem,
-        })
     }
 }
 

@@ -49,18 +49,19 @@ pub(crate) fn check_avoidability(
     Ok(AvoidabilityResponse {
         verdict: avoidance.verdict.name(),
         sentences,
-        escape_figure: escape.map_or(Ok(String::new()), render_escape)?,
+        escape_figure: escape
+            .map_or(Ok(String::new()), |escape| render_escape(scenario, escape))?,
     })
 }
 
 /// Renders an escape, whose vehicles follow scripts, so that the controller of the run has no influence.
-fn render_escape(escape: &Escape) -> Result<String, RequestError> {
+fn render_escape(scenario: &Scenario, escape: &Escape) -> Result<String, RequestError> {
     let options = RunOptions::new(BuiltInController::MatchLeader(Default::default()))
         .with_estimator(EstimatorKind::Truth);
     let run = Run::new(&escape.scenario, options)
         .map_err(|error| RequestError::Internal(error.to_string()))?;
     Ok(render_replay(
-        &escape.scenario,
+        scenario,
         &simulate(&run, RecordingLevel::Trace),
         "An escape",
     ))

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crumple_core::field_error::FieldError;
 use crumple_core::text_file::FileError;
 use crumple_sim::scenario::InvalidField;
 use crumple_sim::scenario::file::ScenarioFileError;
@@ -30,12 +31,8 @@ pub(crate) enum RequestError {
         message: String,
     },
     /// A field is out of range, contradicts another field or names an item outside the catalog.
-    #[error("{field}: {problem}")]
-    Invalid {
-        /// Path of the field.
-        field: String,
-        problem: String,
-    },
+    #[error(transparent)]
+    Invalid(#[from] FieldError),
     /// Another request holds the exclusive resource.
     #[error("crumple is still computing {0}: try again later")]
     Busy(&'static str),
@@ -45,10 +42,7 @@ pub(crate) enum RequestError {
 
 impl RequestError {
     pub(crate) fn invalid(field: impl Into<String>, problem: impl ToString) -> Self {
-        Self::Invalid {
-            field: field.into(),
-            problem: problem.to_string(),
-        }
+        Self::Invalid(FieldError::new(field, problem.to_string()))
     }
 
     /// Returns the status of the response, and the kind of the error in its body.
@@ -61,7 +55,7 @@ impl RequestError {
             Self::TooLarge(_) => (StatusCode::PAYLOAD_TOO_LARGE, "too-long"),
             Self::NotJson => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "not-json"),
             Self::Malformed { .. } => (StatusCode::BAD_REQUEST, "malformed"),
-            Self::Invalid { .. } => (StatusCode::UNPROCESSABLE_ENTITY, "invalid"),
+            Self::Invalid(_) => (StatusCode::UNPROCESSABLE_ENTITY, "invalid"),
             Self::Busy(_) => (StatusCode::TOO_MANY_REQUESTS, "busy"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "failed"),
         }
@@ -69,7 +63,7 @@ impl RequestError {
 
     pub(crate) fn to_json(&self) -> Value {
         let field = match self {
-            Self::Invalid { field, .. } => Some(field),
+            Self::Invalid(invalid) => Some(&invalid.field),
             _ => None,
         };
         json!({ "error": { "kind": self.status_and_kind().1, "message": self.to_string(), "field": field } })

@@ -263,7 +263,7 @@
             {
               class: `verdict ${run.verdict === 'safe' ? 'good' : 'bad'}`,
               'data-verdict': run.verdict,
-              'data-contact': run.contact_time_s,
+              'data-collision': run.collision_time_s,
             },
             element('b', {}, run.controller),
             run.summary,

@@ -1,10 +1,11 @@
 //! Runs of a scenario on the page: verdicts, diagrams, and slider positions.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
-use crumple_measure::UnnecessaryBraking;
+use crumple_measure::{LevelMeasures, UnnecessaryBraking};
 use crumple_report::draw::{
     self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names,
 };
+use crumple_sim::control::TwoSidedSettings;
 use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
@@ -21,7 +22,7 @@ const MAX_PAD_CELLS: usize = 60;
 #[derive(Debug, Serialize)]
 pub(crate) struct RunResponse {
     runs: Vec<RunPanel>,
-    /// Position, speed and gap diagrams, as SVG.
+    /// Diagrams of position, speed, gap, acceleration and time to collision, as SVG.
     figures: String,
     sliders: Sliders,
 }
@@ -33,7 +34,7 @@ struct RunPanel {
     verdict: &'static str,
     summary: String,
     notes: Vec<String>,
-    contact_time_s: Option<f64>,
+    collision_time_s: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -71,17 +72,19 @@ pub(crate) fn run_and_render(
     let scenario = request.take_scenario(catalog)?;
     let controllers = catalog.find_controllers(&request.controllers)?;
     let mut runs = Vec::new();
+    let mut panels = Vec::new();
     for controller in &controllers {
         let options = RunOptions::new(controller.source.clone()).with_estimator(request.estimator);
         let run = Run::new(&scenario, options)
             .map_err(|error| RequestError::invalid("controllers", error))?;
-        runs.push((*controller, simulate(&run, RecordingLevel::Trace)));
+        let result = simulate(&run, RecordingLevel::Trace);
+        let mut panel = render_panel(controller, &scenario, &result);
+        panel.notes.extend(level_notes(&run, &result));
+        panels.push(panel);
+        runs.push((*controller, result));
     }
     Ok(RunResponse {
-        runs: runs
-            .iter()
-            .map(|(controller, run)| render_panel(controller, &scenario, run))
-            .collect(),
+        runs: panels,
         figures: render_figures(&scenario, &runs, request.narrow),
         sliders: Sliders::new(&scenario),
     })
@@ -101,15 +104,18 @@ fn render_panel(
         },
         summary: escape_text(&describe_outcome(scenario, run)),
         notes: run_notes(controller, scenario, run),
-        contact_time_s: run.outcome.contact().map(|contact| contact.time_s),
+        collision_time_s: run.outcome.collision().map(|collision| collision.time_s),
     }
 }
 
 fn describe_outcome(scenario: &Scenario, run: &SimulationResult) -> String {
     match &run.outcome {
-        Outcome::Collision(contact) => format!(
+        Outcome::Collision(collision) => format!(
             "✗ Collision at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-            contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+            collision.time_s,
+            collision.rear_vehicle,
+            collision.front_vehicle,
+            collision.impact_speed_mps
         ),
         Outcome::ControllerFailed(failed) => format!("✗ Controller failed: {failed}"),
         Outcome::NoCollision => {
@@ -160,6 +166,20 @@ fn run_notes(
     notes
 }
 
+/// Returns the levels of the vehicles under test, with the class of followers for which they hold.
+fn level_notes(run: &Run, result: &SimulationResult) -> Vec<String> {
+    LevelMeasures::of_vehicles_under_test(run, result, &TwoSidedSettings::default())
+        .into_iter()
+        .filter_map(|(_, level)| level.ok())
+        .map(|level| {
+            format!(
+                "{}; for followers whose brake fires at a time to collision below 1.4 s",
+                level.describe()
+            )
+        })
+        .collect()
+}
+
 /// Escapes invisible characters in foreign text.
 fn escape_text(text: &str) -> String {
     TerminalText(text).to_string()
@@ -195,7 +215,7 @@ fn render_figures(
     TerminalLines(&markup.into_string()).to_string()
 }
 
-/// Renders the diagrams of a run with the scenario's own drivers.
+/// Renders the diagrams of a run. `scenario` is the original one: in an escape, a script drives the vehicle under test.
 pub(crate) fn render_replay(scenario: &Scenario, run: &SimulationResult, title: &str) -> String {
     let Some(trace) = &run.trace else {
         return String::new();

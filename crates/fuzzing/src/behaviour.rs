@@ -5,9 +5,9 @@
 use std::path::Path;
 
 use super::TestCase;
-use crumple_measure::ContactRole;
-use crumple_sim::engine::{SimulationResult, Track};
-use crumple_sim::scenario::Driver;
+use crumple_measure::CollisionRole;
+use crumple_sim::engine::{Collision, SimulationResult, Track};
+use crumple_sim::scenario::{Driver, Scenario};
 
 const GAP_BINS_M: [f64; 12] = [
     16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.01, 0.0,
@@ -35,18 +35,21 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) 
         features.push_vehicle(test_case, result, vehicle);
     }
     for role in [
-        ContactRole::Hits,
-        ContactRole::HitFromBehind,
-        ContactRole::Bystander,
+        CollisionRole::Hits,
+        CollisionRole::HitFromBehind,
+        CollisionRole::Bystander,
     ] {
-        let contact = result
+        let collision = result
             .outcome
-            .contact()
-            .filter(|contact| ContactRole::new(contact, &test_case.scenario) == role);
-        features.push(VEHICLE_BINS, contact.map(|contact| contact.rear_vehicle));
+            .collision()
+            .filter(|collision| blamed_role(collision, &test_case.scenario) == role);
+        features.push(
+            VEHICLE_BINS,
+            collision.map(|collision| collision.rear_vehicle),
+        );
         features.push(
             IMPACT_BINS,
-            contact.map(|contact| (contact.impact_speed_mps / IMPACT_BIN_MPS) as usize),
+            collision.map(|collision| (collision.impact_speed_mps / IMPACT_BIN_MPS) as usize),
         );
     }
     features.push(
@@ -161,23 +164,31 @@ fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
         .count()
 }
 
+/// Returns the role, with all collisions from behind as one.
+fn blamed_role(collision: &Collision, scenario: &Scenario) -> CollisionRole {
+    match CollisionRole::new(collision, scenario) {
+        CollisionRole::HitByRecording => CollisionRole::HitFromBehind,
+        role => role,
+    }
+}
+
 /// Returns a name for the kind of collision: vehicles under test, roles, number of vehicles and impact speed.
 /// Equivalent collisions have the same name. `None` if no vehicle under test collided.
 #[must_use]
 pub(crate) fn collision_kind(test_case: &TestCase, result: &SimulationResult) -> Option<String> {
-    let contact = result.outcome.contact()?;
+    let collision = result.outcome.collision()?;
     let vehicles = test_case.scenario.vehicles();
-    let front = contact.front_vehicle;
-    let rear = contact.rear_vehicle;
-    let (verb, [own, partner]) = match ContactRole::new(contact, &test_case.scenario) {
-        ContactRole::Hits => ("hits", [rear, front]),
-        ContactRole::HitFromBehind => ("hit-by", [front, rear]),
-        ContactRole::Bystander => return None,
+    let front = collision.front_vehicle;
+    let rear = collision.rear_vehicle;
+    let (verb, [own, partner]) = match CollisionRole::new(collision, &test_case.scenario) {
+        CollisionRole::Hits => ("hits", [rear, front]),
+        CollisionRole::HitFromBehind | CollisionRole::HitByRecording => ("hit-by", [front, rear]),
+        CollisionRole::Bystander => return None,
     };
     let partner = vehicles
         .get(partner)
         .map_or("unknown", |vehicle| vehicle.driver.name());
-    let speed_mps = (contact.impact_speed_mps / IMPACT_BIN_MPS).floor() * IMPACT_BIN_MPS;
+    let speed_mps = (collision.impact_speed_mps / IMPACT_BIN_MPS).floor() * IMPACT_BIN_MPS;
     let controller = Path::new(test_case.setup.controller.name())
         .file_stem()
         .unwrap_or_default()

@@ -12,7 +12,7 @@ use crumple_sim::control::{
     AebSettings, BuiltInController, Controller, ControllerFailure, ControllerSource, Ego,
     IntoSource,
 };
-use crumple_sim::engine::{AfterContact, NamedController, RefusedController, RunOptions};
+use crumple_sim::engine::{AfterCollision, NamedController, RefusedController, RunOptions};
 use crumple_sim::observation::{EstimatorKind, Observation};
 use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 
@@ -29,7 +29,7 @@ pub struct RunSetup {
     /// Integration steps per step of the scenario.
     pub substeps: u32,
     /// Behaviour after a collision.
-    pub after_contact: AfterContact,
+    pub after_collision: AfterCollision,
 }
 
 /// Controller under test.
@@ -69,7 +69,7 @@ impl RunSetup {
             )),
             estimator: EstimatorKind::Truth,
             substeps: 1,
-            after_contact: AfterContact::Stop,
+            after_collision: AfterCollision::Stop,
         }
     }
 
@@ -91,8 +91,13 @@ impl RunSetup {
                 0..192 => 1,
                 more @ 192.. => 2 + u32::from(more) % 6,
             },
-            after_contact: choices
-                .choose(&[AfterContact::Stop, AfterContact::Continue])
+            after_collision: choices
+                .choose(&[
+                    AfterCollision::Stop,
+                    AfterCollision::Continue,
+                    AfterCollision::Hold,
+                    AfterCollision::Coast,
+                ])
                 .unwrap_or_default(),
         }
     }
@@ -138,7 +143,7 @@ impl RunSetup {
         };
         let options = RunOptions::new(controller)
             .with_estimator(self.estimator)
-            .with_after_contact(self.after_contact);
+            .with_after_collision(self.after_collision);
         if self.substeps == 1 {
             options
         } else {

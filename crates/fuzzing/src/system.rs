@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use crumple_measure::ContactRole;
+use crumple_measure::CollisionRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{AvoidOptions, Avoidance, SearchEffort, avoid};
 use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource, ShieldSettings};
 use crumple_sim::engine::{
-    self, Contact, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
+    self, Collision, Motion, RecordingLevel, Run, ShieldedSource, SimulationResult, Stepper,
 };
 use crumple_sim::observation::Observation;
 use crumple_sim::scenario::NoDriverFiles;
@@ -58,7 +58,7 @@ pub trait System {
     fn shielded_full_throttle(&self) -> Arc<dyn ControllerSource> {
         ShieldedSource {
             controller: BuiltInController::FullThrottle(Default::default()).into_source(),
-            settings: ShieldSettings::default(),
+            settings: ShieldSettings::default().into(),
         }
         .into_source()
     }
@@ -112,8 +112,8 @@ pub trait System {
     }
 
     /// Returns the role of the vehicles in a collision.
-    fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
-        ContactRole::new(contact, scenario)
+    fn collision_role(&self, collision: &Collision, scenario: &Scenario) -> CollisionRole {
+        CollisionRole::new(collision, scenario)
     }
 }
 

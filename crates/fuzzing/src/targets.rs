@@ -16,7 +16,7 @@ use super::{
 use crumple_exchange::openscenario::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::mdf::{DbcFile, SignalSet};
-use crumple_exchange::recording::{self, LeaderSelection, MinBrake, find_episodes};
+use crumple_exchange::recording::{self, FollowerDriver, LeaderSelection, MinBrake, find_episodes};
 use crumple_measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_networks::network::{FeedForward, NetworkFile};
 use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate};
@@ -396,7 +396,8 @@ fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Viola
         .iter()
         .enumerate()
     {
-        let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else {
+        let name = format!("f-{number}");
+        let Ok(scenario) = episode.scenario(name, "f.csv", &FollowerDriver::Recorded) else {
             continue;
         };
         let text = to_toml(&scenario).unwrap_or_default();

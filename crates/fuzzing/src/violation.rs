@@ -3,7 +3,7 @@
 use super::{TestCase, TestedController};
 use crumple_core::quoting::ShellWord;
 use crumple_sim::control::BuiltInController;
-use crumple_sim::engine::AfterContact;
+use crumple_sim::engine::AfterCollision;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::file::to_toml;
 use crumple_sim::scenario::{Driver, Scenario};
@@ -38,7 +38,7 @@ pub enum Invariant {
     Limits,
     /// The reported role in a collision is that of the trace.
     #[error("the role in the collision agrees with the trace")]
-    ContactRole,
+    CollisionRole,
     /// The batch engine gives the results of the scalar engine to the last bit.
     #[error("the batch engine gives the same bits as the scalar engine")]
     Engines,
@@ -137,9 +137,13 @@ impl TestCase {
                 scenario.spec().step_s / f64::from(setup.substeps)
             ));
         }
-        if setup.after_contact == AfterContact::Continue {
-            options.push("--after-collision continue".to_owned());
-        }
+        let after_collision = match setup.after_collision {
+            AfterCollision::Stop => None,
+            AfterCollision::Continue => Some("continue"),
+            AfterCollision::Hold => Some("hold"),
+            AfterCollision::Coast => Some("coast"),
+        };
+        options.extend(after_collision.map(|name| format!("--after-collision {name}")));
         let text = to_toml(&scenario).unwrap_or_default();
         format!(
             "# crumple simulate THIS-FILE.toml {}\n{text}",

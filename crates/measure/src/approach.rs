@@ -1,7 +1,7 @@
 //! The approach of a vehicle to its leader, from which measures of a pair are computed.
 
 use crumple_sim::engine::{
-    Contact, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m,
+    Collision, Impact, Motion, TIME_TOLERANCE_S, Trace, Track, VehiclePair, closest_gap_m,
 };
 
 /// Two successive vehicles at one instant.
@@ -73,13 +73,13 @@ impl PairState {
 /// The approach of a vehicle to its leader, from the start of a trace to their collision or to the end of the trace.
 /// After lane changes the leader may be another vehicle.
 ///
-/// The approach ends at the first contact: afterwards the gap is zero, and time to collision would be a quotient of
-/// rounding errors. The last state is the instant of contact. It does not depend on the sample times, nor on whether
-/// the run continues after the contact. All measures therefore agree.
+/// The approach ends at the first collision: afterwards the gap is zero, and time to collision would be a quotient of
+/// rounding errors. The last state is the instant of collision. It does not depend on the sample times, nor on whether
+/// the run continues after the collision. All measures therefore agree.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Approach {
     segments: Vec<ApproachSegment>,
-    has_contact: bool,
+    has_collision: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -97,11 +97,11 @@ impl Approach {
     /// end of the shortest is the end for all.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
-        let contact = impacts
+        let collision = impacts
             .iter()
-            .map(|impact| &impact.contact)
-            .find(|contact| contact.rear_vehicle == rear);
-        Self::from_pairs(&trace.pairs(rear), contact)
+            .map(|impact| &impact.collision)
+            .find(|collision| collision.rear_vehicle == rear);
+        Self::from_pairs(&trace.pairs(rear), collision)
     }
 
     /// Creates the approach to vehicle `front` by its follower; `None` without a follower.
@@ -110,21 +110,23 @@ impl Approach {
         impacts: &[Impact],
         front: usize,
     ) -> Option<Self> {
-        let contact = impacts
+        let collision = impacts
             .iter()
-            .map(|impact| &impact.contact)
-            .find(|contact| contact.front_vehicle == front);
+            .map(|impact| &impact.collision)
+            .find(|collision| collision.front_vehicle == front);
         let behind = front.checked_add(1)?..trace.vehicles.len();
         let pairs = behind
             .flat_map(|rear| trace.pairs(rear))
             .filter(|pair| pair.front_vehicle == front);
         let mut pairs: Vec<VehiclePair<'_>> = pairs.collect();
         pairs.sort_by(|a, b| a.span_s[0].total_cmp(&b.span_s[0]));
-        Self::from_pairs(&pairs, contact)
+        Self::from_pairs(&pairs, collision)
     }
 
-    fn from_pairs(pairs: &[VehiclePair<'_>], contact: Option<&Contact>) -> Option<Self> {
-        let until_s = contact.map_or(f64::INFINITY, |contact| contact.time_s - TIME_TOLERANCE_S);
+    fn from_pairs(pairs: &[VehiclePair<'_>], collision: Option<&Collision>) -> Option<Self> {
+        let until_s = collision.map_or(f64::INFINITY, |collision| {
+            collision.time_s - TIME_TOLERANCE_S
+        });
         let mut segments = Vec::new();
         let mut collided = false;
         for pair in pairs.iter().filter(|pair| pair.span_s[0] < until_s) {
@@ -148,13 +150,14 @@ impl Approach {
                 break;
             }
         }
-        if let (Some(contact), false, Some(last)) = (contact, collided, segments.last_mut()) {
-            last.states.push(contact_state(contact, last.states.last()));
+        if let (Some(collision), false, Some(last)) = (collision, collided, segments.last_mut()) {
+            last.states
+                .push(collision_state(collision, last.states.last()));
             collided = true;
         }
         (!segments.is_empty()).then_some(Self {
             segments,
-            has_contact: collided,
+            has_collision: collided,
         })
     }
 
@@ -178,13 +181,13 @@ impl Approach {
             .flat_map(|segment| segment.states.iter().zip(segment.states.iter().skip(1)))
     }
 
-    /// Returns true if the approach ends in a contact.
+    /// Returns true if the approach ends in a collision.
     #[must_use]
-    pub fn has_contact(&self) -> bool {
-        self.has_contact
+    pub fn has_collision(&self) -> bool {
+        self.has_collision
     }
 
-    /// Returns the smallest bumper gap, between samples too, in metres; 0 at contact, `None` for an empty trace.
+    /// Returns the smallest bumper gap, between samples too, in metres; 0 at collision, `None` for an empty trace.
     #[must_use]
     pub fn min_gap_m(&self) -> Option<f64> {
         let at_samples = self.states().map(|state| state.gap_m);
@@ -194,14 +197,14 @@ impl Approach {
         at_samples.chain(between).reduce(f64::min)
     }
 
-    /// Returns the bumper gap at standstill, in metres; `None` after a contact or lane change, or if a vehicle still
+    /// Returns the bumper gap at standstill, in metres; `None` after a collision or lane change, or if a vehicle still
     /// moves.
     #[must_use]
     pub fn standstill_gap_m(&self) -> Option<f64> {
         let segment = self
             .segments
             .last()
-            .filter(|segment| !segment.interrupted && !self.has_contact)?;
+            .filter(|segment| !segment.interrupted && !self.has_collision)?;
         let last = segment.states.last()?;
         (last.front_speed_mps == 0.0 && last.rear_speed_mps == 0.0).then_some(last.gap_m)
     }
@@ -233,12 +236,12 @@ fn pair_states<'a>(pair: &VehiclePair<'a>) -> impl Iterator<Item = PairState> + 
     first.into_iter().chain(samples).chain(last)
 }
 
-fn contact_state(contact: &Contact, before: Option<&PairState>) -> PairState {
+fn collision_state(collision: &Collision, before: Option<&PairState>) -> PairState {
     PairState {
-        time_s: contact.time_s,
+        time_s: collision.time_s,
         gap_m: 0.0,
-        front_speed_mps: contact.front_speed_mps,
-        rear_speed_mps: contact.rear_speed_mps,
+        front_speed_mps: collision.front_speed_mps,
+        rear_speed_mps: collision.rear_speed_mps,
         front_acceleration_mps2: before.map_or(0.0, |state| state.front_acceleration_mps2),
         rear_acceleration_mps2: before.map_or(0.0, |state| state.rear_acceleration_mps2),
     }
@@ -258,13 +261,13 @@ mod tests {
         let pair = pair_trace(10.0, [(15.0, &[(1.6, 0.0)]), (20.0, &[(1.6, -5.0)])], 0.8);
         let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         assert!((approach.min_gap_m().unwrap() - 7.5).abs() < 1e-12);
-        assert!(!approach.has_contact());
+        assert!(!approach.has_collision());
         assert_eq!(approach.standstill_gap_m(), None, "both still move");
     }
 
     #[test]
-    fn an_approach_ends_at_the_contact_and_not_before_or_after() {
-        // Gap 10 m closes at 4 m/s: contact after 2.5 s, between the samples at 2 and 3 s.
+    fn an_approach_ends_at_the_collision_and_not_before_or_after() {
+        // Gap 10 m closes at 4 m/s: collision after 2.5 s, between the samples at 2 and 3 s.
         let trace = pair_trace(10.0, [(10.0, &[(5.0, 0.0)]), (14.0, &[(5.0, 0.0)])], 1.0);
         let approach = Approach::from_trace(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
         assert_eq!(
@@ -272,7 +275,7 @@ mod tests {
             [0.0, 1.0, 2.0, 2.5]
         );
         assert_eq!(
-            (approach.has_contact(), approach.min_gap_m()),
+            (approach.has_collision(), approach.min_gap_m()),
             (true, Some(0.0))
         );
 
@@ -283,7 +286,7 @@ mod tests {
             "ends at the first sample without a gap"
         );
         assert_eq!(
-            (by_gap_alone.has_contact(), by_gap_alone.min_gap_m()),
+            (by_gap_alone.has_collision(), by_gap_alone.min_gap_m()),
             (true, Some(0.0))
         );
     }

@@ -7,7 +7,7 @@ use crumple_sim::engine::{Impact, Trace};
 pub use crumple_sim::required_brake::required_brake_mps2;
 
 /// Returns the deceleration rate to avoid a crash in m/s²: the constant deceleration of the follower that just avoids
-/// contact with a leader of constant speed, `DRAC = (closing speed)² / (2 gap)`.
+/// collision with a leader of constant speed, `DRAC = (closing speed)² / (2 gap)`.
 ///
 /// `None` if the gap does not close or there is no gap.
 ///
@@ -23,18 +23,18 @@ pub fn drac_mps2(gap_m: f64, closing_mps: f64) -> Option<f64> {
 }
 
 impl Approach {
-    /// Returns the largest DRAC of all samples, in m/s²; `None` if the gap never closed, or if there was a contact.
-    /// Near a contact DRAC is unbounded, and its largest sample would depend only on the step.
+    /// Returns the largest DRAC of all samples, in m/s²; `None` if the gap never closed, or if there was a collision.
+    /// Near a collision DRAC is unbounded, and its largest sample would depend only on the step.
     #[must_use]
     pub fn max_drac_mps2(&self) -> Option<f64> {
         let dracs = self
             .states()
             .filter_map(|state| drac_mps2(state.gap_m, state.closing_mps()));
-        dracs.reduce(f64::max).filter(|_| !self.has_contact())
+        dracs.reduce(f64::max).filter(|_| !self.has_collision())
     }
 
     /// Returns the largest required deceleration of all samples, in m/s², for a leader that keeps its acceleration
-    /// until standstill; `None` if there was a contact, as for [`Approach::max_drac_mps2`].
+    /// until standstill; `None` if there was a collision, as for [`Approach::max_drac_mps2`].
     #[must_use]
     pub fn max_required_brake_mps2(&self) -> Option<f64> {
         let required = self.states().filter_map(|state| {
@@ -45,7 +45,7 @@ impl Approach {
                 state.rear_speed_mps,
             )
         });
-        required.reduce(f64::max).filter(|_| !self.has_contact())
+        required.reduce(f64::max).filter(|_| !self.has_collision())
     }
 }
 
@@ -57,12 +57,12 @@ impl Approach {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct InducedBraking {
-    /// Hardest deceleration of the follower before contact, in m/s², positive; `None` for less than two samples.
+    /// Hardest deceleration of the follower before collision, in m/s², positive; `None` for less than two samples.
     pub peak_brake_mps2: Option<f64>,
-    /// Largest DRAC of the follower, in m/s²; `None` if the gap never closed, or if there was a contact.
+    /// Largest DRAC of the follower, in m/s²; `None` if the gap never closed, or if there was a collision.
     pub max_drac_mps2: Option<f64>,
     /// Largest required deceleration of the follower, in m/s², for a vehicle ahead that keeps its braking until
-    /// standstill; `None` if there was a contact.
+    /// standstill; `None` if there was a collision.
     pub max_required_brake_mps2: Option<f64>,
 }
 
@@ -168,7 +168,7 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn the_required_deceleration_just_avoids_contact(
+        fn the_required_deceleration_just_avoids_collision(
             gap_m in 5.0..50.0f64,
             front_speed_mps in 1.0..30.0f64,
             rear_speed_mps in 1.0..30.0f64,

@@ -119,7 +119,7 @@ impl FromStr for DrivingRule {
 mod tests {
     use super::*;
     use crumple_sim::control::BuiltInController;
-    use crumple_sim::engine::{AfterContact, RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::engine::{AfterCollision, RecordingLevel, Run, RunOptions, simulate};
     use crumple_sim::scenario::PaperDistribution;
     use proptest::prelude::*;
 
@@ -155,7 +155,7 @@ mod tests {
             let scenario = PaperDistribution { seed: 3 }.draw(index).unwrap();
             let name = ["idm", "baseline", "acc-aeb", "match-leader"][controller];
             let options = RunOptions::new(BuiltInController::from_name(name).unwrap());
-            let run = Run::new(&scenario, options.with_after_contact(AfterContact::Continue)).unwrap();
+            let run = Run::new(&scenario, options.with_after_collision(AfterCollision::Continue)).unwrap();
             let result = simulate(&run, RecordingLevel::Trace);
             let trace = result.trace.as_ref().unwrap();
             let unnecessary = UnnecessaryBraking::from_trace(trace, &result.impacts, 1).unwrap();

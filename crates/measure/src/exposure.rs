@@ -25,12 +25,12 @@ impl Approach {
     /// Computes time exposed and time integrated time to collision below `threshold_s`: `TET = ∫ 1[TTC < TTC*] dt`,
     /// `TIT = ∫ max(0, TTC* - TTC) dt`, both 0 if the gap never closed.
     ///
-    /// The integrals end at the contact or at the end of the trace. The authors sum over equidistant samples; here each
-    /// step has its own weight, since the last one before a contact may be shorter. Within a step, `TTC* closing - gap`
-    /// is interpolated linearly, because it has no pole, unlike time to collision; the threshold is crossed where it is
-    /// zero. On the part of a step below the threshold, the shortfall `TTC* - TTC` is interpolated linearly
-    /// (trapezoid). The error falls with the square of the step, unless time to collision recovers from near zero
-    /// within one step. `TIT <= TTC* TET` always.
+    /// The integrals end at the collision or at the end of the trace. The authors sum over equidistant samples; here
+    /// each step has its own weight, since the last one before a collision may be shorter. Within a step,
+    /// `TTC* closing - gap` is interpolated linearly, because it has no pole, unlike time to collision; the threshold
+    /// is crossed where it is zero. On the part of a step below the threshold, the shortfall `TTC* - TTC` is
+    /// interpolated linearly (trapezoid). The error falls with the square of the step, unless time to collision
+    /// recovers from near zero within one step. `TIT <= TTC* TET` always.
     ///
     /// Source: Minderhoud and Bovy 2001, "Extended time-to-collision measures for road traffic safety assessment",
     /// Accident Analysis and Prevention 33, 89-97; as integrals in Westhofen et al. 2023, "Criticality metrics for
@@ -158,7 +158,7 @@ mod tests {
                 let trace = near_miss_trace(gap_m, speed_mps, brakes_mps2, step_s);
                 Approach::from_trace(&trace, &[], 1).unwrap().ttc_exposure(threshold_s)
             };
-            // Excludes contacts, which cut the approach, and near contacts, which recover within a coarse step.
+            // Excludes collisions, which cut the approach, and near contacts, which recover within a coarse step.
             let fine = Approach::from_trace(&near_miss_trace(gap_m, speed_mps, brakes_mps2, 0.001), &[], 1).unwrap();
             prop_assume!(fine.min_gap_m() > Some(0.5));
             let (coarse, fine) = (exposure(0.02), exposure(0.001));

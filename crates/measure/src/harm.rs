@@ -36,7 +36,7 @@ pub fn injury_probability(impacts: &[Impact], index: usize) -> f64 {
     let involving = impacts.iter().filter(|impact| impact.involves(index));
     involving
         .map(|impact| {
-            let curve = if index <= impact.contact.front_vehicle {
+            let curve = if index <= impact.collision.front_vehicle {
                 REAR_END
             } else {
                 FRONTAL

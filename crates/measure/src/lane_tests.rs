@@ -1,6 +1,6 @@
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{
-    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    AfterCollision, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::scenario::{
     Brake, Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec, built_in_scenario,
@@ -20,13 +20,13 @@ fn braking_vehicle(position_m: f64, speed_mps: f64, onset_s: f64, rate_mps2: f64
 }
 
 /// Simulates vehicles on a dry road for 8 s; `None` if one leaves before it enters.
-fn simulate_line(vehicles: Vec<VehicleSpec>, after: AfterContact) -> Option<SimulationResult> {
+fn simulate_line(vehicles: Vec<VehicleSpec>, after: AfterCollision) -> Option<SimulationResult> {
     let paper = built_in_scenario("paper-1").unwrap().spec().clone();
     let mut spec = paper;
     spec.duration_s = 8.0;
     spec.vehicles = vehicles;
     let idm = BuiltInController::from_name("idm").unwrap();
-    let options = RunOptions::new(idm).with_after_contact(after);
+    let options = RunOptions::new(idm).with_after_collision(after);
     let run = Run::new(&Scenario::new(spec).ok()?, options).unwrap();
     Some(simulate(&run, RecordingLevel::Trace))
 }
@@ -42,7 +42,7 @@ fn a_vehicle_that_leaves_at_the_start_has_no_measures_towards_a_leader() {
         let mut last = braking_vehicle(0.0, 28.0, 9.0, 0.0);
         last.leaves = Some(leaves);
         let line = vec![braking_vehicle(12.0, 20.0, 9.0, 0.0), last];
-        let simulated = simulate_line(line, AfterContact::Stop).unwrap();
+        let simulated = simulate_line(line, AfterCollision::Stop).unwrap();
         let trace = simulated.trace.as_ref().unwrap();
         let measures = LeadMeasures::from_trace(trace, &simulated.impacts, 1);
         assert_eq!(measures, None, "{leaves:?}");
@@ -50,11 +50,7 @@ fn a_vehicle_that_leaves_at_the_start_has_no_measures_towards_a_leader() {
 }
 
 fn any_lane_change() -> impl Strategy<Value = LaneChange> {
-    prop_oneof![
-        (0.0..7.0_f64).prop_map(LaneChange::At),
-        (0.5..40.0_f64).prop_map(LaneChange::Gap),
-        (0.5..5.0_f64).prop_map(LaneChange::TimeToCollision),
-    ]
+    crumple_cases::any_lane_change(LaneChange::At, LaneChange::Gap, LaneChange::TimeToCollision)
 }
 
 proptest! {
@@ -74,7 +70,7 @@ proptest! {
             braking_vehicle(0.0, 20.0, 2.5, brakes_mps2[2]),
             braking_vehicle(-12.0, 20.0, 3.0, 6.0),
         ];
-        let after = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
+        let after = if goes_on { AfterCollision::Continue } else { AfterCollision::Stop };
         let Some(simulated) = simulate_line(line, after) else {
             return Err(TestCaseError::reject("leaves before it enters"));
         };

@@ -2,7 +2,7 @@
 //!
 //! Collisions are rare. For a run without a collision, these measures state how close it came to one; for a run with a
 //! collision, how severe it was. Each pointwise formula is a function with its source. [`Approach`] applies those of a
-//! pair to a trace up to its contact; [`Measures`] holds the results of one vehicle. [`UsefulnessMeasures`] states
+//! pair to a trace up to its collision; [`Measures`] holds the results of one vehicle. [`UsefulnessMeasures`] states
 //! whether a vehicle makes progress, and at what cost to others. [`GainSurvey`] simulates a line of vehicles, and
 //! measures the growth of oscillations in it.
 //!
@@ -12,25 +12,28 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | `approach` | states of two successive vehicles up to their contact |
+//! | `approach` | states of two successive vehicles up to their collision |
 //! | `comfort` | hardest deceleration and largest jerk |
-//! | `contact_role` | roles of vehicles under test in a contact |
+//! | `collision_role` | roles of vehicles under test in a collision |
 //! | `harm` | expected number of seriously injured drivers |
 //! | `severity` | impact speed and change of speed |
-//! | `demand` | deceleration that avoids a contact, and braking induced in a follower |
+//! | `demand` | deceleration that avoids a collision, and braking induced in a follower |
 //! | `exposure` | duration and integral of a short time to collision |
 //! | `proximity` | time to collision, time headway and time gap |
 //! | `gain` | growth of oscillations along a line of vehicles |
+//! | `level` | hardest braking of the leader for which both sides stay safe |
 //! | [`stl`] | formulas of signal temporal logic, and their monitor |
 //! | `usefulness` | progress, comfort, and unnecessary braking |
+//! | `recorded_drive` | drives at equal intervals, of controllers and of recorded drivers |
 //! | `driving_rule` | rules of conduct towards followers and passengers |
 //! | `specification` | specifications of a controller, and the robustness of a run |
 //! | `run_report` | report of a run, as text and as JSON |
+//! | `replay_share` | share of replays with a result |
 //! | `run_total` | total of several runs |
 
 mod approach;
+mod collision_role;
 mod comfort;
-mod contact_role;
 mod demand;
 mod driving_rule;
 mod exposure;
@@ -38,7 +41,10 @@ mod gain;
 mod harm;
 #[cfg(test)]
 mod lane_tests;
+mod level;
 mod proximity;
+mod recorded_drive;
+mod replay_share;
 mod run_report;
 mod run_total;
 mod severity;
@@ -51,8 +57,8 @@ mod usefulness;
 use serde::{Deserialize, Serialize};
 
 pub use approach::{Approach, PairState};
+pub use collision_role::CollisionRole;
 pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
-pub use contact_role::ContactRole;
 pub use demand::{InducedBraking, drac_mps2, required_brake_mps2};
 pub use driving_rule::{DrivingRule, UnknownDrivingRule};
 pub use exposure::{TTC_THRESHOLD_S, TtcExposure};
@@ -61,20 +67,28 @@ pub use gain::{
     OSCILLATION_AMPLITUDE_MPS, OperatingPoint,
 };
 pub use harm::{harm, harm_of_pair, injury_probability};
+pub use level::{DEFAULT_CLASS_WORDS, LevelMeasures, NoLevel, describe_outside_class};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
-pub use run_report::{
-    LaneChanges, PartReport, RunReport, SpecificationResult, UnnecessaryBrakingReport,
+pub use recorded_drive::{
+    ACCELERATION_WINDOW_S, DriveSeries, FAR_TIME_GAP_S, MIN_FOLLOWING_MPS, MeasuredSeries,
+    is_far_behind,
 };
-pub use run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
+pub use replay_share::ReplayShare;
+pub use run_report::{
+    LaneChanges, MissingLevel, PartReport, ReportedController, RunReport, SpecificationResult,
+    UnnecessaryBrakingReport,
+};
+pub use run_total::{PlantCollisions, RunEnd, RunFindings, RunTotal, TotalReport};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 pub use specification::{
-    BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError,
+    BrakingLevel, FirstCollision, RunVerdict, Specification, SpecificationError,
 };
 pub use usefulness::{
-    BrakeInstant, CAUSE_LASTS_S, DriveStep, EASY_BRAKE_MPS2, FollowingMeasures, HARD_BRAKE_MPS2,
-    MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS,
-    MIN_MOVING_SPEED_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplification, UNNECESSARY_MARGIN_MPS2,
-    UnnecessaryBraking, UsefulnessMeasures, justified_brake_mps2,
+    BrakeInstant, CAUSE_LASTS_S, DriveStep, EASY_BRAKE_MPS2, FAR_BEHIND_M, FAR_BEHIND_S,
+    FollowingMeasures, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S,
+    MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS, MIN_MOVING_SPEED_MPS, SETTLED_TOLERANCE_MPS,
+    SpeedAmplification, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, UsefulnessMeasures,
+    justified_brake_mps2,
 };
 
 use crumple_sim::engine::{Impact, Trace};
@@ -102,31 +116,31 @@ pub struct Measures {
     pub max_delta_v_mps: Option<f64>,
 }
 
-/// Measures of a vehicle towards its leader, until their contact or the end of the run.
+/// Measures of a vehicle towards its leader, until their collision or the end of the run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct LeadMeasures {
-    /// Smallest bumper gap, in metres, 0 at contact; `None` for an empty trace.
+    /// Smallest bumper gap, in metres, 0 at collision; `None` for an empty trace.
     pub min_gap_m: Option<f64>,
-    /// Bumper gap at standstill of both, in metres; `None` after a contact or if one still moved at the end.
+    /// Bumper gap at standstill of both, in metres; `None` after a collision or if one still moved at the end.
     pub standstill_gap_m: Option<f64>,
-    /// Smallest time to collision, in seconds, 0 at contact; `None` if the gap never closed.
+    /// Smallest time to collision, in seconds, 0 at collision; `None` if the gap never closed.
     pub min_ttc_s: Option<f64>,
     /// Smallest time from front bumper to front bumper, in seconds; `None` if the vehicle never moved.
     pub min_time_headway_s: Option<f64>,
     /// Smallest time from the leader's rear bumper to the own front bumper, in seconds; `None` if the vehicle never
     /// moved.
     pub min_time_gap_s: Option<f64>,
-    /// Largest deceleration rate to avoid a crash, in m/s²; `None` if the gap never closed, and after a contact.
+    /// Largest deceleration rate to avoid a crash, in m/s²; `None` if the gap never closed, and after a collision.
     pub max_drac_mps2: Option<f64>,
-    /// Largest required deceleration if the leader held its braking to standstill, in m/s²; `None` after a contact.
+    /// Largest required deceleration if the leader held its braking to standstill, in m/s²; `None` after a collision.
     pub max_required_brake_mps2: Option<f64>,
     /// Duration of a time to collision below [`TTC_THRESHOLD_S`], in seconds.
     pub tet_s: f64,
     /// Integral of the shortfall of time to collision over that time, in s².
     pub tit_s2: f64,
-    /// Impact speed with the leader, in m/s; `None` without a contact.
+    /// Impact speed with the leader, in m/s; `None` without a collision.
     pub impact_speed_mps: Option<f64>,
 }
 
@@ -249,7 +263,7 @@ mod tests {
         fn measures_of_invalid_traces_do_not_panic(
             time_s in prop::collection::vec(any::<f64>(), 0..6),
             values in prop::collection::vec(prop::collection::vec(any::<f64>(), 0..6), 9),
-            (front_vehicle, rear_vehicle, contact_s) in (0..5usize, 0..5usize, any::<f64>()),
+            (front_vehicle, rear_vehicle, collision_s) in (0..5usize, 0..5usize, any::<f64>()),
         ) {
             let vehicles = values.chunks(3).map(|values| Track {
                 length_m: 4.0,
@@ -260,8 +274,8 @@ mod tests {
                 in_lane_s: Track::THROUGHOUT_S,
             });
             let trace = Trace { time_s, vehicles: vehicles.collect() };
-            let mut impact = impact(contact_s, front_vehicle, 1.0, 2.0);
-            impact.contact.rear_vehicle = rear_vehicle;
+            let mut impact = impact(collision_s, front_vehicle, 1.0, 2.0);
+            impact.collision.rear_vehicle = rear_vehicle;
             prop_assert_eq!(measure_all(&trace, &[impact]).len(), 3);
         }
 

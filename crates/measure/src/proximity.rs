@@ -40,7 +40,8 @@ pub fn time_gap_s(gap_m: f64, rear_speed_mps: f64) -> Option<f64> {
 }
 
 impl Approach {
-    /// Returns the smallest time to collision of all samples, in seconds, 0 at contact; `None` if the gap never closed.
+    /// Returns the smallest time to collision of all samples, in seconds, 0 at a collision; `None` if the gap
+    /// never closed.
     #[must_use]
     pub fn min_ttc_s(&self) -> Option<f64> {
         self.states()
@@ -58,7 +59,7 @@ impl Approach {
             .reduce(f64::min)
     }
 
-    /// Returns the smallest time gap of all samples, in seconds, 0 at contact; `None` if the vehicle never moved.
+    /// Returns the smallest time gap of all samples, in seconds, 0 at a collision; `None` if the vehicle never moved.
     #[must_use]
     pub fn min_time_gap_s(&self) -> Option<f64> {
         self.states()

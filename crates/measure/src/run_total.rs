@@ -1,12 +1,16 @@
 //! Total of several runs: how many end without a collision, and with which kind of collision.
 
+use std::borrow::Cow;
+
 use serde::Serialize;
 
-use super::contact_role::ContactRole;
+use super::collision_role::CollisionRole;
+use super::replay_share::ReplayShare;
 use super::run_report::RunReport;
 use crumple_core::quoting::TerminalText;
+use crumple_core::text_file::is_default;
 use crumple_sim::engine::Outcome;
-use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::{PlantKind, Scenario};
 
 /// End of a run, by its first collision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,7 +18,7 @@ pub enum RunEnd {
     /// No collision.
     NoCollision,
     /// First collision, with the role of the vehicles under test.
-    Collision(ContactRole),
+    Collision(CollisionRole),
     /// The controller gave no valid command.
     ControllerFailed,
 }
@@ -23,7 +27,9 @@ impl RunEnd {
     fn new(outcome: &Outcome, scenario: &Scenario) -> Self {
         match outcome {
             Outcome::NoCollision => Self::NoCollision,
-            Outcome::Collision(contact) => Self::Collision(ContactRole::new(contact, scenario)),
+            Outcome::Collision(collision) => {
+                Self::Collision(CollisionRole::new(collision, scenario))
+            }
             Outcome::ControllerFailed(_) => Self::ControllerFailed,
         }
     }
@@ -40,6 +46,8 @@ pub struct RunFindings {
     pub fell_behind: bool,
     /// True if a specification is violated.
     pub violated: bool,
+    /// True if the last vehicle is under test, so that no vehicle can hit it from behind.
+    pub ends_under_test: bool,
 }
 
 impl RunFindings {
@@ -51,28 +59,53 @@ impl RunFindings {
             brakes_unnecessarily: report.brakes_unnecessarily(),
             fell_behind: !report.fell_behind.is_empty(),
             violated: report.violates_specification(),
+            ends_under_test: report.simulated_scenario.ends_under_test(),
         }
     }
 }
 
+const HIT_BY_RECORDING: &str =
+    "collision from behind with a vehicle that repeats recorded speeds: blames no controller";
+const NO_VEHICLE_BEHIND: &str = "no vehicle behind: collisions from behind cannot happen";
+
+/// Share of scenarios with a collision under a plant that replaces that of the scenarios.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PlantCollisions {
+    plant: &'static str,
+    #[serde(flatten)]
+    share: ReplayShare,
+}
+
 /// Numbers of scenarios.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RunTotal {
     scenarios: usize,
     no_collision: usize,
     ego_hits_leader: usize,
     ego_hit_from_behind: usize,
+    /// Left out without such a collision.
+    #[serde(skip_serializing_if = "is_default")]
+    ego_hit_by_recording: usize,
     others_collide: usize,
     controller_failed: usize,
     brakes_unnecessarily: usize,
+    /// Scenarios in which this also happens without the vehicles behind those under test; `None` if not counted.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    brakes_unnecessarily_alone: Option<usize>,
     fell_behind: usize,
+    /// Scenarios whose last vehicle is under test; left out if there is none.
+    #[serde(skip_serializing_if = "is_default")]
+    without_vehicle_behind: usize,
     /// None without specifications.
     #[serde(skip_serializing_if = "Option::is_none")]
     violated: Option<usize>,
+    /// None without a plant that replaces that of the scenarios.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    plant_collisions: Option<PlantCollisions>,
 }
 
 /// Last object of the JSON output for several runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TotalReport {
     /// The total.
     pub total: RunTotal,
@@ -89,13 +122,38 @@ impl RunTotal {
         Self {
             scenarios: runs.len(),
             no_collision: ends(RunEnd::NoCollision),
-            ego_hits_leader: ends(RunEnd::Collision(ContactRole::Hits)),
-            ego_hit_from_behind: ends(RunEnd::Collision(ContactRole::HitFromBehind)),
-            others_collide: ends(RunEnd::Collision(ContactRole::Bystander)),
+            ego_hits_leader: ends(RunEnd::Collision(CollisionRole::Hits)),
+            ego_hit_from_behind: ends(RunEnd::Collision(CollisionRole::HitFromBehind)),
+            ego_hit_by_recording: ends(RunEnd::Collision(CollisionRole::HitByRecording)),
+            others_collide: ends(RunEnd::Collision(CollisionRole::Bystander)),
             controller_failed: ends(RunEnd::ControllerFailed),
             brakes_unnecessarily: count(&|run| run.brakes_unnecessarily),
+            brakes_unnecessarily_alone: None,
             fell_behind: count(&|run| run.fell_behind),
+            without_vehicle_behind: count(&|run| run.ends_under_test),
             violated: has_specifications.then(|| count(&|run| run.violated)),
+            plant_collisions: None,
+        }
+    }
+
+    /// Adds the number of scenarios with unnecessary braking that has it also without the vehicles behind those under
+    /// test. The others show reactions to these vehicles.
+    #[must_use]
+    pub fn with_braking_alone(self, scenarios: usize) -> Self {
+        Self {
+            brakes_unnecessarily_alone: Some(scenarios),
+            ..self
+        }
+    }
+
+    /// Adds in how many runs a collision happens, if a plant replaces that of the scenarios.
+    #[must_use]
+    pub fn with_plant(self, plant: PlantKind, collides: impl IntoIterator<Item = bool>) -> Self {
+        let plant = plant.name();
+        let share = ReplayShare::from_results(collides);
+        Self {
+            plant_collisions: share.map(|share| PlantCollisions { plant, share }),
+            ..self
         }
     }
 
@@ -113,29 +171,46 @@ impl RunTotal {
                 text += &format!("  {count:>5} of {all}  {what}\n");
             }
         }
+        if let Some(PlantCollisions { plant, share }) = &self.plant_collisions {
+            text += &format!(
+                "{plant}: {}\n",
+                share.describe("scenarios have a collision")
+            );
+        }
         text
     }
 
     /// Returns the numbers with their descriptions.
-    fn rows(&self) -> [(usize, &'static str); 8] {
+    fn rows(&self) -> [(usize, Cow<'static, str>); 10] {
+        let braking = match self.brakes_unnecessarily_alone {
+            Some(alone) => {
+                format!("unnecessary braking, {alone} of them also with no vehicle behind")
+            }
+            None => "unnecessary braking".to_owned(),
+        };
         [
-            (self.no_collision, "no collision"),
+            (self.no_collision, "no collision".into()),
             (
                 self.ego_hits_leader,
-                "COLLISION: the ego vehicle hits its leader",
+                "COLLISION: the ego vehicle hits its leader".into(),
             ),
             (
                 self.ego_hit_from_behind,
-                "COLLISION: the ego vehicle is hit from behind",
+                "COLLISION: the ego vehicle is hit from behind".into(),
             ),
-            (self.others_collide, "COLLISION of other vehicles"),
-            (self.controller_failed, "CONTROLLER FAILED"),
-            (self.brakes_unnecessarily, "unnecessary braking"),
-            (self.fell_behind, "ego vehicle left behind by its leader"),
+            (self.ego_hit_by_recording, HIT_BY_RECORDING.into()),
+            (self.others_collide, "COLLISION of other vehicles".into()),
+            (self.controller_failed, "CONTROLLER FAILED".into()),
+            (self.brakes_unnecessarily, braking.into()),
+            (
+                self.fell_behind,
+                "ego vehicle left behind by its leader".into(),
+            ),
             (
                 self.violated.unwrap_or_default(),
-                "VIOLATED: a specification",
+                "VIOLATED: a specification".into(),
             ),
+            (self.without_vehicle_behind, NO_VEHICLE_BEHIND.into()),
         ]
     }
 }

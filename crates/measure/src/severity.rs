@@ -7,13 +7,13 @@ pub fn impacts_of(impacts: &[Impact], index: usize) -> impl Iterator<Item = &Imp
     impacts.iter().filter(move |impact| impact.involves(index))
 }
 
-/// Returns the largest impact speed of vehicle `index` with its leader, in m/s; `None` without a contact.
+/// Returns the largest impact speed of vehicle `index` with its leader, in m/s; `None` without a collision.
 #[must_use]
 pub fn impact_speed_mps(impacts: &[Impact], index: usize) -> Option<f64> {
     let hits = impacts
         .iter()
-        .filter(|impact| impact.contact.rear_vehicle == index);
-    hits.map(|impact| impact.contact.impact_speed_mps)
+        .filter(|impact| impact.collision.rear_vehicle == index);
+    hits.map(|impact| impact.collision.impact_speed_mps)
         .reduce(f64::max)
 }
 
@@ -38,7 +38,7 @@ mod tests {
 
     use super::*;
     use crate::testing::impact;
-    use crumple_sim::engine::Contact;
+    use crumple_sim::engine::Collision;
 
     #[test]
     fn a_truck_into_a_car_by_hand() {
@@ -57,11 +57,11 @@ mod tests {
         // Equal masses. Vehicle 2 hits 1: 4 against 10 m/s, both leave at 7. Vehicle 1, with 2 stuck to it, hits 0:
         // 1 against 7 m/s, all leave at (1 + 7 + 7) / 3 = 5.
         let second = Impact {
-            contact: Contact {
+            collision: Collision {
                 time_s: 2.0,
                 front_vehicle: 0,
                 rear_vehicle: 1,
-                ..impact(2.0, 0, 1.0, 7.0).contact
+                ..impact(2.0, 0, 1.0, 7.0).collision
             },
             common_speed_mps: 5.0,
             beside: Vec::new(),

@@ -7,9 +7,9 @@ use super::stl::{
     Formula, FormulaParseError, FormulaPart, MIN_VIOLATION, MonitorError, SignalsError,
     motion_signal_names, motion_signals, signal_column,
 };
-use super::{ContactRole, DrivingRule};
+use super::{CollisionRole, DrivingRule};
 use crumple_sim::engine::{
-    AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
+    AfterCollision, Outcome, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::scenario::{Scenario, VehicleClass};
 
@@ -29,9 +29,9 @@ use crumple_sim::scenario::{Scenario, VehicleClass};
 #[derive(Debug, Clone, PartialEq)]
 pub enum Specification {
     /// No collision. Robustness is the smallest gap between successive vehicles, in metres, or the negative impact
-    /// speed of the first contact, in m/s, so that searches have a slope on both sides.
-    NoContact,
-    /// A formula over the signals of a run, which continues after contacts: colliding vehicles stick together.
+    /// speed of the first collision, in m/s, so that searches have a slope on both sides.
+    NoCollision,
+    /// A formula over the signals of a run, which continues after collisions: colliding vehicles stick together.
     Formula(Formula),
     /// A rule for the vehicles under test, independent of collisions.
     DrivingRule(DrivingRule),
@@ -97,8 +97,8 @@ pub enum SpecificationError {
 pub struct RunVerdict {
     /// Robustness; below 0 if and only if the specification is violated.
     pub robustness: f64,
-    /// First contact, if there was one.
-    pub contact: Option<FirstContact>,
+    /// First collision, if there was one.
+    pub collision: Option<FirstCollision>,
     /// Time of a controller failure, in seconds, and index of its vehicle. The run then violates every specification,
     /// with a robustness of negative infinity. In a comparison with a partner run, a failure with non-negative
     /// robustness is that of the partner's controller.
@@ -106,12 +106,12 @@ pub struct RunVerdict {
 }
 
 impl RunVerdict {
-    /// Creates the verdict of a run without contact and without failure.
+    /// Creates the verdict of a run without collision and without failure.
     #[must_use]
     pub fn new(robustness: f64) -> Self {
         Self {
             robustness,
-            contact: None,
+            collision: None,
             failure: None,
         }
     }
@@ -123,9 +123,9 @@ impl RunVerdict {
     }
 }
 
-/// First contact of a run, with the data that distinguishes failures.
+/// First collision of a run, with the data that distinguishes failures.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FirstContact {
+pub struct FirstCollision {
     /// Time, in seconds.
     pub time_s: f64,
     /// Index of the vehicle that is hit.
@@ -134,7 +134,7 @@ pub struct FirstContact {
     pub rear_vehicle: u32,
     /// Difference of their speeds, in m/s.
     pub impact_speed_mps: f64,
-    /// Hardest braking before the contact, of the vehicle under test among the two.
+    /// Hardest braking before the collision, of the vehicle under test among the two.
     pub ego_braking: BrakingLevel,
     /// Class of the vehicle that hits.
     pub rear_class: VehicleClass,
@@ -233,21 +233,21 @@ impl Specification {
     #[must_use]
     pub fn recording_level(&self) -> RecordingLevel {
         match self {
-            Self::NoContact => RecordingLevel::Summary,
+            Self::NoCollision => RecordingLevel::Summary,
             Self::Formula(_) | Self::DrivingRule(_) => RecordingLevel::Trace,
         }
     }
 
-    /// Returns the required behaviour after a contact.
+    /// Returns the required behaviour after a collision.
     #[must_use]
-    pub fn after_contact(&self) -> AfterContact {
+    pub fn after_collision(&self) -> AfterCollision {
         match self {
-            Self::NoContact => AfterContact::Stop,
-            Self::Formula(_) | Self::DrivingRule(_) => AfterContact::Continue,
+            Self::NoCollision => AfterCollision::Stop,
+            Self::Formula(_) | Self::DrivingRule(_) => AfterCollision::Continue,
         }
     }
 
-    /// Runs a scenario as the specification needs, to the first contact or beyond it, and returns the verdict.
+    /// Runs a scenario as the specification needs, to the first collision or beyond it, and returns the verdict.
     ///
     /// # Errors
     /// [`SpecificationError`] if the scenario cannot be run with these options, or a formula does not fit it.
@@ -256,11 +256,14 @@ impl Specification {
         scenario: &Scenario,
         options: RunOptions,
     ) -> Result<RunVerdict, SpecificationError> {
-        let run = Run::new(scenario, options.with_after_contact(self.after_contact()))?;
+        let run = Run::new(
+            scenario,
+            options.with_after_collision(self.after_collision()),
+        )?;
         self.evaluate(&run, &simulate(&run, self.recording_level()))
     }
 
-    /// Returns the verdict of a run with [`Self::recording_level`] and [`Self::after_contact`].
+    /// Returns the verdict of a run with [`Self::recording_level`] and [`Self::after_collision`].
     ///
     /// # Errors
     /// [`SpecificationError`] if a formula does not fit the run.
@@ -271,15 +274,15 @@ impl Specification {
     ) -> Result<RunVerdict, SpecificationError> {
         let robustness = match (self, &result.outcome) {
             (_, Outcome::ControllerFailed(_)) => f64::NEG_INFINITY,
-            (Self::NoContact, Outcome::Collision(contact)) => {
-                -contact.impact_speed_mps.max(MIN_VIOLATION)
+            (Self::NoCollision, Outcome::Collision(collision)) => {
+                -collision.impact_speed_mps.max(MIN_VIOLATION)
             }
-            (Self::NoContact, Outcome::NoCollision) => {
+            (Self::NoCollision, Outcome::NoCollision) => {
                 let gaps = result
                     .vehicles
                     .iter()
                     .filter_map(|vehicle| vehicle.min_gap_m);
-                // Rounding must not make a gap of zero a contact.
+                // Rounding must not make a gap of zero a collision.
                 gaps.fold(f64::INFINITY, f64::min).max(0.0)
             }
             (Self::Formula(formula), _) => {
@@ -298,7 +301,7 @@ impl Specification {
         let failed = result.outcome.failed_controller();
         Ok(RunVerdict {
             robustness,
-            contact: first_contact(run, result),
+            collision: first_collision(run, result),
             failure: failed.map(|failed| (failed.time_s, failed.vehicle as u32)),
         })
     }
@@ -331,13 +334,13 @@ impl Specification {
     }
 }
 
-fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
-    let contact = result.outcome.contact()?;
+fn first_collision(run: &Run, result: &SimulationResult) -> Option<FirstCollision> {
+    let collision = result.outcome.collision()?;
     let scenario = run.scenario();
     // Of two vehicles under test, the one that hits.
-    let ego = match ContactRole::new(contact, scenario) {
-        ContactRole::HitFromBehind => contact.front_vehicle,
-        ContactRole::Hits | ContactRole::Bystander => contact.rear_vehicle,
+    let ego = match CollisionRole::new(collision, scenario) {
+        CollisionRole::HitFromBehind | CollisionRole::HitByRecording => collision.front_vehicle,
+        CollisionRole::Hits | CollisionRole::Bystander => collision.rear_vehicle,
     };
     let hardest_mps2 = match &result.trace {
         None => result
@@ -347,7 +350,7 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
         Some(trace) => {
             let before = trace
                 .time_s
-                .partition_point(|&time_s| time_s < contact.time_s);
+                .partition_point(|&time_s| time_s < collision.time_s);
             let accelerations = trace
                 .vehicles
                 .get(ego)
@@ -359,15 +362,15 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
                 .fold(0.0, |hardest: f64, accel| hardest.max(-accel))
         }
     };
-    Some(FirstContact {
-        time_s: contact.time_s,
-        front_vehicle: contact.front_vehicle as u32,
-        rear_vehicle: contact.rear_vehicle as u32,
-        impact_speed_mps: contact.impact_speed_mps,
+    Some(FirstCollision {
+        time_s: collision.time_s,
+        front_vehicle: collision.front_vehicle as u32,
+        rear_vehicle: collision.rear_vehicle as u32,
+        impact_speed_mps: collision.impact_speed_mps,
         ego_braking: BrakingLevel::new(hardest_mps2, scenario.usable_brake_mps2(ego)),
         rear_class: scenario
             .vehicles()
-            .get(contact.rear_vehicle)
+            .get(collision.rear_vehicle)
             .map_or(VehicleClass::Light, |v| v.class),
     })
 }
@@ -378,7 +381,7 @@ impl FromStr for Specification {
 
     fn from_str(text: &str) -> Result<Self, SpecificationError> {
         if [Self::NO_COLLISION, Self::LEGACY_NO_COLLISION].contains(&text) {
-            return Ok(Self::NoContact);
+            return Ok(Self::NoCollision);
         }
         if let Ok(conduct) = text.parse() {
             return Ok(Self::DrivingRule(conduct));
@@ -395,7 +398,7 @@ impl FromStr for Specification {
 impl fmt::Display for Specification {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoContact => out.write_str(Self::NO_COLLISION),
+            Self::NoCollision => out.write_str(Self::NO_COLLISION),
             Self::Formula(formula) => formula.fmt(out),
             Self::DrivingRule(conduct) => conduct.fmt(out),
         }

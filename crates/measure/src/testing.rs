@@ -1,6 +1,6 @@
 //! Traces for tests of the measures.
 
-use crumple_sim::engine::{Contact, Impact, Trace, Track};
+use crumple_sim::engine::{Collision, Impact, Trace, Track};
 
 /// Creates a track that holds each acceleration for its time, in steps that divide those times, and never reverses.
 pub(super) fn driven_track(
@@ -66,7 +66,7 @@ pub(super) fn impact(
     front_speed_mps: f64,
     rear_speed_mps: f64,
 ) -> Impact {
-    let contact = Contact {
+    let collision = Collision {
         time_s,
         front_vehicle: front,
         rear_vehicle: front + 1,
@@ -75,7 +75,7 @@ pub(super) fn impact(
         impact_speed_mps: rear_speed_mps - front_speed_mps,
     };
     Impact {
-        contact,
+        collision,
         common_speed_mps: 0.5 * (front_speed_mps + rear_speed_mps),
         beside: Vec::new(),
         first_involved: front,

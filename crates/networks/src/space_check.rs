@@ -2,6 +2,7 @@
 
 use super::{InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
 use crate::network::SavedModel;
+use crumple_core::digits::format_number;
 
 /// Tolerance of comparisons with bounds, which are in single precision.
 const BOUND_TOLERANCE: f64 = 1e-3;
@@ -156,7 +157,7 @@ fn output_warning(output: &OutputMapping, saved: &SavedModel) -> Option<String> 
     }
 }
 
+/// Formats a number with at most three decimals.
 fn format_rounded(value: f64) -> String {
-    // Adding 0 removes the sign of -0.
-    ((value * 1e3).round() / 1e3 + 0.0).to_string()
+    format_number((value * 1e3).round() / 1e3)
 }

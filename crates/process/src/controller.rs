@@ -24,7 +24,9 @@ use serde::Serialize;
 use self::driver::ProcessDriver;
 use super::child::ChildProcess;
 use super::permission::StartPermission;
-use super::protocol::{self, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams};
+use super::protocol::{
+    self, ExpectedReply, HelloParams, HelloReply, HelloRequest, VERSION, VehicleParams,
+};
 use super::setup::ProcessSetup;
 
 const MAX_FILE_BYTES: u64 = 1 << 30;
@@ -37,6 +39,15 @@ const MAX_STARTS: u32 = 10_000;
 /// with probability `CHECKED_RUNS_PER_TWO_DOUBLINGS` / next_power_of_two(n).
 const ALWAYS_CHECKED_RUNS: u64 = 2;
 const CHECKED_RUNS_PER_TWO_DOUBLINGS: u64 = 3;
+
+/// Vehicle of a handshake without a run.
+const TRIAL_EGO: Ego = Ego {
+    vehicle: 1,
+    max_brake_mps2: 7.5,
+    max_accel_mps2: 3.0,
+    length_m: 2.0,
+    step_s: 0.01,
+};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct ListedFile {
@@ -112,6 +123,14 @@ impl ConnectedProcess {
     fn next_id(&mut self) -> u64 {
         self.question_count += 1;
         self.question_count
+    }
+
+    /// Returns the next number and the promise of the handshake, for a query about a decision.
+    fn expect_reply(&mut self) -> ExpectedReply {
+        ExpectedReply {
+            id: self.next_id(),
+            warns: self.greeting.warns,
+        }
     }
 }
 
@@ -210,7 +229,11 @@ impl ControllerSource for ProcessController {
     }
 
     fn supports_lockstep(&self, ego: &Ego) -> bool {
-        self.0.supports_batches(ego)
+        self.0.greeting_says(ego, |greeting| greeting.batch)
+    }
+
+    fn reports_warnings(&self) -> bool {
+        self.0.greeting_says(&TRIAL_EGO, |greeting| greeting.warns)
     }
 }
 
@@ -230,28 +253,21 @@ impl ProcessPool {
     /// # Errors
     /// [`ControllerFailure`] if the start or the handshake fails.
     fn try_start(&self) -> Result<(), ControllerFailure> {
-        let ego = Ego {
-            vehicle: 1,
-            max_brake_mps2: 7.5,
-            max_accel_mps2: 3.0,
-            length_m: 2.0,
-            step_s: 0.01,
-        };
-        let process = self.start(&self.hello(&ego))?;
+        let process = self.start(&self.hello(&TRIAL_EGO))?;
         // Dropped instead of killed: a killed FMU host would leave its extraction folder behind.
         drop(process);
         Ok(())
     }
 
-    /// True if one process can answer for many runs at once. Starts a process if that is not known yet.
-    fn supports_batches(&self, ego: &Ego) -> bool {
+    /// Returns a promise of the handshake. Starts a process if that is not known yet; false if it does not start.
+    fn greeting_says(&self, ego: &Ego, promise: impl Fn(&HelloReply) -> bool) -> bool {
         if let Some(greeting) = &self.state().greeting {
-            return greeting.batch;
+            return promise(greeting);
         }
         self.acquire(&self.hello(ego)).is_ok_and(|process| {
-            let batch = process.greeting.batch;
+            let is_promised = promise(&process.greeting);
             self.release(process);
-            batch
+            is_promised
         })
     }
 

@@ -46,6 +46,9 @@ pub(crate) struct HelloReply {
     pub(crate) batch: bool,
     /// Expected number of inputs.
     pub(crate) inputs: Option<u64>,
+    /// True if each decision states whether the process warns of a collision.
+    #[serde(default)]
+    pub(crate) warns: bool,
 }
 
 /// Start of a run. Replies repeat the `id` of their query, which reveals surplus and late lines.
@@ -85,9 +88,28 @@ pub(crate) struct BatchDecisionRequest<'a> {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct DecisionReply<T> {
+struct DecisionReply<T, W> {
     id: u64,
     acceleration_mps2: T,
+    warning: Option<W>,
+}
+
+/// A decision of a process.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Decision {
+    /// Answer of the mapping.
+    pub(crate) answer: f64,
+    /// True while the process warns of a collision.
+    pub(crate) warning: bool,
+}
+
+/// Query whose reply is expected, and the promise of the handshake.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ExpectedReply {
+    /// Number of the query.
+    pub(crate) id: u64,
+    /// True if the handshake promises warnings.
+    pub(crate) warns: bool,
 }
 
 pub(crate) fn write_line(
@@ -132,32 +154,59 @@ pub(crate) fn parse_reset_reply(line: &[u8], request_id: u64) -> Result<(), Proc
     }
 }
 
-pub(crate) fn parse_decision(line: &[u8], request_id: u64) -> Result<f64, ProcessProblem> {
-    let DecisionReply {
-        id,
-        acceleration_mps2,
-    } = parse_message(line)?;
-    check_id(id, request_id)?;
-    Ok(acceleration_mps2)
+pub(crate) fn parse_decision(
+    line: &[u8],
+    expected: ExpectedReply,
+) -> Result<Decision, ProcessProblem> {
+    let reply: DecisionReply<f64, bool> = parse_message(line)?;
+    check_id(reply.id, expected.id)?;
+    check_warning(line, reply.warning.is_some(), expected)?;
+    Ok(Decision {
+        answer: reply.acceleration_mps2,
+        warning: reply.warning.unwrap_or_default(),
+    })
 }
 
 pub(crate) fn parse_decisions(
     line: &[u8],
-    request_id: u64,
+    expected: ExpectedReply,
     count: usize,
-) -> Result<Vec<f64>, ProcessProblem> {
-    let DecisionReply::<Vec<f64>> {
-        id,
-        acceleration_mps2: answers,
-    } = parse_message(line)?;
-    check_id(id, request_id)?;
-    if answers.len() == count {
-        Ok(answers)
-    } else {
-        Err(ProcessProblem::Answers {
-            found: answers.len(),
-            asked: count,
-        })
+) -> Result<Vec<Decision>, ProcessProblem> {
+    let reply: DecisionReply<Vec<f64>, Vec<bool>> = parse_message(line)?;
+    check_id(reply.id, expected.id)?;
+    check_warning(line, reply.warning.is_some(), expected)?;
+    let answers = reply.acceleration_mps2;
+    let warnings = reply.warning.unwrap_or_else(|| vec![false; count]);
+    for length in [answers.len(), warnings.len()] {
+        if length != count {
+            return Err(ProcessProblem::Answers {
+                found: length,
+                asked: count,
+            });
+        }
+    }
+    let decisions = answers.into_iter().zip(warnings);
+    Ok(decisions
+        .map(|(answer, warning)| Decision { answer, warning })
+        .collect())
+}
+
+/// Refuses a decision with a warning that the handshake does not promise, and one without a promised warning.
+fn check_warning(
+    line: &[u8],
+    has_warning: bool,
+    expected: ExpectedReply,
+) -> Result<(), ProcessProblem> {
+    match (has_warning, expected.warns) {
+        (true, false) => Err(invalid_reply(
+            line,
+            "it has `warning`, and the handshake lacks `\"warns\":true`",
+        )),
+        (false, true) => Err(invalid_reply(
+            line,
+            "it lacks `warning`, which the handshake promises",
+        )),
+        _ => Ok(()),
     }
 }
 
@@ -209,10 +258,17 @@ mod tests {
 
     #[test]
     fn invalid_answers_are_distinguished() {
-        let problem = |line: &str| parse_decision(line.as_bytes(), 7).unwrap_err();
+        let silent = ExpectedReply {
+            id: 7,
+            warns: false,
+        };
+        let problem = |line: &str| parse_decision(line.as_bytes(), silent).unwrap_err();
         assert_eq!(
-            parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7),
-            Ok(-1.5)
+            parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", silent),
+            Ok(Decision {
+                answer: -1.5,
+                warning: false
+            })
         );
         let wrong_id = problem("{\"id\":6,\"acceleration_mps2\":1}");
         assert_eq!(
@@ -247,7 +303,13 @@ mod tests {
                 "{line}"
             );
         }
-        let all = |line: &str| parse_decisions(line.as_bytes(), 7, 2);
+        let all = |line: &str| {
+            let decisions = parse_decisions(line.as_bytes(), silent, 2)?;
+            Ok(decisions
+                .into_iter()
+                .map(|decision| decision.answer)
+                .collect::<Vec<_>>())
+        };
         assert_eq!(
             all("{\"id\":7,\"acceleration_mps2\":[1,2.5]}"),
             Ok(vec![1.0, 2.5])
@@ -275,5 +337,28 @@ mod tests {
             )
             .is_err()
         );
+    }
+
+    #[test]
+    fn a_warning_is_stated_exactly_if_the_handshake_promises_it() {
+        let decide =
+            |line: &str, warns| parse_decision(line.as_bytes(), ExpectedReply { id: 7, warns });
+        let decide_two =
+            |line: &str, warns| parse_decisions(line.as_bytes(), ExpectedReply { id: 7, warns }, 2);
+        let warning = |decided: Result<Decision, _>| decided.map(|decision| decision.warning);
+        let stated = "{\"id\":7,\"acceleration_mps2\":1,\"warning\":true}";
+        let silent = "{\"id\":7,\"acceleration_mps2\":1}";
+        assert_eq!(warning(decide(stated, true)), Ok(true));
+        assert_eq!(warning(decide(silent, false)), Ok(false));
+        assert!(decide(stated, false).is_err() && decide(silent, true).is_err());
+        let both = "{\"id\":7,\"acceleration_mps2\":[1,2],\"warning\":[false,true]}";
+        let warnings: Vec<bool> = decide_two(both, true)
+            .unwrap()
+            .iter()
+            .map(|decision| decision.warning)
+            .collect();
+        assert_eq!(warnings, [false, true]);
+        let short = "{\"id\":7,\"acceleration_mps2\":[1,2],\"warning\":[true]}";
+        assert!(decide_two(short, true).is_err() && decide_two(both, false).is_err());
     }
 }

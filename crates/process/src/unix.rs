@@ -362,7 +362,7 @@ fn is_retryable(kind: ErrorKind) -> bool {
 
 fn describe_exit(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
-        (Some(code), _) => format!("itself with exit code {code}"),
+        (Some(code), _) => format!("exit code {code}"),
         (None, Some(signal)) => format!("signal {signal}"),
         (None, None) => status.to_string(),
     }

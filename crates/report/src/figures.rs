@@ -240,11 +240,14 @@ pub fn draw_invariant_set(lines: &[(String, Vec<(f64, f64)>)], most_m: f64) -> S
 /// Draws a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
-    let second = FIGURE_SIZE.1 + HEADING_HEIGHT;
+    let step = PANEL_HEIGHT + BOTTOM_MARGIN + HEADING_HEIGHT;
+    let [second, third] = [1.0, 2.0].map(|panels| HEADING_HEIGHT + panels * step);
     let content = html! {
         (recording_panel(preview, HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps)
             .draw(&Svg::id("recorded", "speeds")))
-        (recording_panel(preview, second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m)
+        (recording_panel(preview, second, "Speed of the vehicle behind (m/s)", |line| &line.speed_behind_mps)
+            .draw(&Svg::id("recorded", "speeds-behind")))
+        (recording_panel(preview, third, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m)
             .draw(&Svg::id("recorded", "gaps")))
     };
     let description = format!(
@@ -254,7 +257,7 @@ pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     );
     Svg::new(
         "recorded",
-        (FIGURE_WIDTH, second + PANEL_HEIGHT + BOTTOM_MARGIN),
+        (FIGURE_WIDTH, third + PANEL_HEIGHT + BOTTOM_MARGIN),
         file,
         &description,
         content,

@@ -19,4 +19,4 @@ pub mod suite;
 mod units;
 
 /// Style sheet of pages: text, tables, and the reader's colour scheme. Figures also need [`draw::STYLE`].
-pub const PAGE_STYLE: &str = include_str!("page.css");
+pub const PAGE_STYLE: &str = concat!(include_str!("page.css"), include_str!("print.css"));

@@ -6,9 +6,7 @@
 
 use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-
-use crumple_core::interval::RateInterval;
+pub use crumple_measure::ReplayShare;
 use crumple_sim::control::{Controller, ControllerFailure, ControllerSource, Ego};
 use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::{EstimatorKind, Observation};
@@ -16,54 +14,6 @@ use crumple_sim::scenario::{PlantKind, Scenario};
 
 /// Plant of the replays.
 pub const CONFIRMING_PLANT: PlantKind = PlantKind::MultiBody;
-
-const CONFIDENCE: f64 = 0.95;
-
-/// Number of replays with a result, and the exact 95 % interval of its share.
-///
-/// The interval is that of independent random scenarios. A search selects its counterexamples, so that it does not
-/// extend to all failures of the space.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ReplayShare {
-    /// Number of replays with the result.
-    pub count: u64,
-    /// Number of replays.
-    pub replays: u64,
-    /// Exact 95 % interval of the share.
-    #[serde(flatten)]
-    pub interval: RateInterval,
-}
-
-impl ReplayShare {
-    /// Counts the results; `None` if there is none.
-    #[must_use]
-    pub fn from_results(results: impl IntoIterator<Item = bool>) -> Option<Self> {
-        let mut count = 0;
-        let mut replays = 0;
-        for result in results {
-            count += u64::from(result);
-            replays += 1;
-        }
-        let interval = RateInterval::clopper_pearson(count, replays, CONFIDENCE);
-        (replays > 0).then_some(Self {
-            count,
-            replays,
-            interval,
-        })
-    }
-
-    /// Describes the share, with a noun phrase for what is counted.
-    #[must_use]
-    pub fn describe(&self, what: &str) -> String {
-        let share = self.count as f64 / self.replays as f64;
-        let [share, low, high] =
-            [share, self.interval.lower, self.interval.upper].map(|share| 100.0 * share);
-        let Self { count, replays, .. } = self;
-        format!(
-            "{count} of {replays} {what} ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)"
-        )
-    }
-}
 
 /// Demand per speed error of a vehicle that follows an escape, in 1/s.
 const SPEED_GAIN_PER_S: f64 = 2.0;

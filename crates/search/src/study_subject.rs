@@ -39,11 +39,11 @@ pub struct StudySubject<Space = String> {
     pub space_sha256: Option<String>,
 }
 
-/// Reads a specification. 0.3.0 wrote `no contact` for "no collision".
+/// Reads a specification. 0.3.0 wrote `no collision` for "no collision".
 fn read_specification<'de, D: Deserializer<'de>>(reader: D) -> Result<String, D::Error> {
     let text = String::deserialize(reader)?;
     match text.parse() {
-        Ok(Specification::NoContact) => Ok(Specification::NoContact.to_string()),
+        Ok(Specification::NoCollision) => Ok(Specification::NoCollision.to_string()),
         _ => Ok(text),
     }
 }

@@ -4,7 +4,9 @@ use crate::observation::Observation;
 use crate::settings::settings;
 
 /// Minimum gap that the model divides by, in metres; an estimated gap can be negative.
-const MIN_GAP_M: f64 = 0.01;
+pub(crate) const MIN_GAP_M: f64 = 0.01;
+/// Default gap at standstill, in metres.
+pub(crate) const STANDSTILL_GAP_M: f64 = 2.0;
 
 settings! {
     /// Settings of the Intelligent Driver Model (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), eq. 3,
@@ -15,7 +17,7 @@ settings! {
         /// Desired time headway, in seconds. Default 1.6, the paper's table I.
         time_headway_s: 1.6, 0.0..=10.0, 0.0..=3.0;
         /// Gap at standstill, in metres.
-        standstill_gap_m: 2.0, 0.0..=100.0, 0.0..=5.0;
+        standstill_gap_m: STANDSTILL_GAP_M, 0.0..=100.0, 0.0..=5.0;
         /// Largest acceleration, in m/s².
         accel_mps2: 0.73, 0.01..=30.0, 0.1..=4.0;
         /// Comfortable deceleration, in m/s², positive.

@@ -68,3 +68,14 @@ pub struct Observation {
     /// The follower; `None` for the last vehicle of the lane.
     pub behind: Option<Neighbour>,
 }
+
+impl Observation {
+    /// Returns the observation without the follower, if it is hidden.
+    #[inline]
+    pub(crate) fn hiding_follower(self, is_hidden: bool) -> Self {
+        Self {
+            behind: self.behind.filter(|_| !is_hidden),
+            ..self
+        }
+    }
+}

@@ -57,6 +57,8 @@ pub enum Purpose {
     GapBehindOutage = 19,
     /// Properties and glances of a human driver, one consumer per vehicle.
     HumanDriver = 20,
+    /// Standing vehicles that an emergency brake misses, one consumer per vehicle.
+    MissedDetection = 21,
 }
 
 /// Returns the stream for `purpose` and its `index`-th consumer (a vehicle, a sample), under `seed`.

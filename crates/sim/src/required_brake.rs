@@ -1,6 +1,6 @@
 //! The deceleration that avoids a braking leader: a measure, and a prediction of a controller.
 
-/// Returns the required deceleration in m/s²: the smallest constant deceleration of the follower that avoids contact
+/// Returns the required deceleration in m/s²: the smallest constant deceleration of the follower that avoids collision
 /// with a leader that brakes at `front_brake_mps2` to standstill. 0 if no braking is needed; `None` without a gap.
 ///
 /// DRAC misses a leader that has just begun to brake hard, because speeds are still equal. With gap `d`, speeds `v_f`

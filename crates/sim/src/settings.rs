@@ -20,7 +20,9 @@ impl SettingField {
     /// Returns the unit that the name ends with.
     #[must_use]
     pub fn unit(&self) -> &'static str {
-        const ENDINGS: [(&str, &str); 6] = [
+        const ENDINGS: [(&str, &str); 8] = [
+            ("_s2_per_m", "s²/m"),
+            ("_mps3", "m/s³"),
             ("_per_s2", "1/s²"),
             ("_per_s", "1/s"),
             ("_mps2", "m/s²"),
@@ -54,6 +56,30 @@ pub enum InvalidSetting {
     Duplicate {
         /// The controller, or `shield`.
         controller: &'static str,
+        /// The setting.
+        name: &'static str,
+    },
+    /// Two settings that exclude each other.
+    #[error("{controller}: {} and {} exclude each other", names[0], names[1])]
+    Conflict {
+        /// The controller, or `shield`.
+        controller: &'static str,
+        /// The settings.
+        names: [&'static str; 2],
+    },
+    /// A setting that is neither on nor off.
+    #[error("{controller}: {name} must be 0 or 1, found {found}")]
+    Switch {
+        /// The controller, or `shield`.
+        controller: &'static str,
+        /// The setting.
+        name: &'static str,
+        /// The value found.
+        found: f64,
+    },
+    /// A setting without an effect in this place.
+    #[error("{name} has no effect here")]
+    NoEffect {
         /// The setting.
         name: &'static str,
     },
@@ -101,6 +127,66 @@ pub(crate) fn parse_settings<'t>(
         settings.push((index, number + 0.0));
     }
     Ok(settings)
+}
+
+/// Parses the text between a name such as `shield` and a colon: settings, each after a comma, as [`parse_settings`]
+/// does.
+pub(crate) fn parse_settings_after_name(
+    text: &str,
+    controller: &'static str,
+    names_and_ranges: &[(&'static str, [f64; 2])],
+    unknown: impl Fn(String) -> InvalidSetting,
+) -> Result<Vec<(usize, f64)>, InvalidSetting> {
+    let mut parts = text.split(',');
+    match parts.next() {
+        Some(before) if !before.is_empty() => Err(unknown(before.to_owned())),
+        _ => parse_settings(parts, controller, names_and_ranges, unknown),
+    }
+}
+
+/// Name and allowed range of a setting of a shield, and its effect.
+pub(crate) struct ShieldSetting<S> {
+    pub(crate) name: &'static str,
+    pub(crate) range: [f64; 2],
+    /// True if only 0 and 1 are allowed.
+    pub(crate) is_switch: bool,
+    pub(crate) set: fn(&mut S, f64),
+    pub(crate) get: fn(&S) -> Option<f64>,
+}
+
+impl<S: Default> ShieldSetting<S> {
+    /// Parses the text between the name of a shield and the colon: settings, each after a comma.
+    pub(crate) fn parse_all(
+        table: &[Self],
+        text: &str,
+        shield: &'static str,
+        unknown: impl Fn(String) -> InvalidSetting,
+    ) -> Result<S, InvalidSetting> {
+        let fields: Vec<_> = table.iter().map(|row| (row.name, row.range)).collect();
+        let mut settings = S::default();
+        for (index, value) in parse_settings_after_name(text, shield, &fields, unknown)? {
+            let Some(row) = table.get(index) else {
+                continue;
+            };
+            if row.is_switch && value != 0.0 && value != 1.0 {
+                return Err(InvalidSetting::Switch {
+                    controller: shield,
+                    name: row.name,
+                    found: value,
+                });
+            }
+            (row.set)(&mut settings, value);
+        }
+        Ok(settings)
+    }
+
+    /// Returns the text that [`Self::parse_all`] parses to these settings.
+    pub(crate) fn print_all(table: &[Self], settings: &S) -> String {
+        table
+            .iter()
+            .filter_map(|row| (row.get)(settings).map(|value| format!(",{}={value}", row.name)))
+            .collect()
+    }
 }
 
 /// The numbers that parametrise a controller.

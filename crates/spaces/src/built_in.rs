@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
-use super::{Base, ScenarioSpace, file};
+use super::spec::{ChoiceSpec, DistributionSpec, DriverName, FollowerVariant, ParameterValue};
+use super::{Base, ParameterSpec, ScenarioSpace, SpaceSpec, file};
 use crumple_sim::control::{BuiltInController, HumanSettings};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{Driver, NoDriverFiles, OpenDriver};
 
 /// Name, one-line description and text of every built-in space.
-pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
+pub const BUILT_IN_SPACES: [(&str, &str, &str); 9] = [
     (
         "paper",
         "training distribution of the paper: small variations of scenarios 1 and 2",
@@ -23,6 +24,11 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
         "traffic",
         "everyday driving without hard braking; idm or acc-aeb drives the follower",
         TRAFFIC,
+    ),
+    (
+        "everyday",
+        "everyday driving, stops and starts, with any follower, near, far or faster, or none",
+        EVERYDAY,
     ),
     (
         "standing",
@@ -46,14 +52,19 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
     ),
     (
         "steady",
-        "a leader that never brakes, 15 to 100 m ahead, and any follower",
+        "a leader that never brakes, 15 to 100 m ahead; baseline, idm or acc-aeb drives the follower",
         STEADY,
     ),
 ];
 
-/// Name, one-line description and base of each variant of a built-in space: a human drives the last vehicle. Variants
-/// are not in [`BUILT_IN_SPACES`], so that no default includes them.
-pub const HUMAN_SPACES: [(&str, &str, &str); 2] = [
+/// Name, one-line description and base of each variant of a built-in space with another follower. Variants are not in
+/// [`BUILT_IN_SPACES`], so that no default includes them.
+pub const VARIANT_SPACES: [(&str, &str, &str); 3] = [
+    (
+        FOLLOWERS,
+        "the emergencies of high-risk, with each of seven kinds of follower in equal shares",
+        "high-risk",
+    ),
     (
         "high-risk-human",
         "the emergencies of high-risk, with a human as the follower",
@@ -68,6 +79,9 @@ pub const HUMAN_SPACES: [(&str, &str, &str); 2] = [
 
 const PAPER: &str = include_str!("built_in/paper.toml");
 const HIGH_RISK: &str = include_str!("built_in/high-risk.toml");
+/// Name of the variant whose follower is drawn.
+const FOLLOWERS: &str = "followers";
+const EVERYDAY: &str = include_str!("built_in/everyday.toml");
 const TRAFFIC: &str = include_str!("built_in/traffic.toml");
 const STANDING: &str = include_str!("built_in/standing.toml");
 const SLOWER: &str = include_str!("built_in/slower.toml");
@@ -111,7 +125,7 @@ pub fn find_space(name: &str, opener: &dyn OpenDriver) -> Result<ScenarioSpace, 
 pub fn built_in_space_names() -> impl Iterator<Item = &'static str> {
     BUILT_IN_SPACES
         .into_iter()
-        .chain(HUMAN_SPACES)
+        .chain(VARIANT_SPACES)
         .map(|(name, ..)| name)
 }
 
@@ -120,7 +134,7 @@ pub fn built_in_space_names() -> impl Iterator<Item = &'static str> {
 pub fn built_in_space_summary(space: &ScenarioSpace) -> Option<&'static str> {
     let (name, summary, _) = BUILT_IN_SPACES
         .iter()
-        .chain(&HUMAN_SPACES)
+        .chain(&VARIANT_SPACES)
         .find(|(name, ..)| *name == space.name())?;
     (built_in_space(name)?.spec() == space.spec()).then_some(*summary)
 }
@@ -131,19 +145,46 @@ pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
     if let Some((_, _, text)) = BUILT_IN_SPACES.iter().find(|space| space.0 == name) {
         return file::from_toml(text, Path::new(name), &NoDriverFiles).ok();
     }
-    let (_, summary, base) = HUMAN_SPACES.iter().find(|space| space.0 == name)?;
+    let variant = VARIANT_SPACES.iter().find(|space| space.0 == name)?;
+    ScenarioSpace::new(variant_spec(variant)?, Path::new(""), &NoDriverFiles).ok()
+}
+
+/// Returns the data of a variant: its base with another name and another follower.
+fn variant_spec((name, summary, base): &(&str, &str, &str)) -> Option<SpaceSpec> {
     let mut spec = built_in_space(base)?.spec().clone();
-    (spec.name, spec.about) = (name.to_owned(), (*summary).to_owned());
-    spec.parameters
-        .retain(|parameter| parameter.name != "follower");
+    (spec.name, spec.about) = ((*name).to_owned(), (*summary).to_owned());
     let Base::Inline(scenario) = &mut spec.base else {
         return None;
     };
     (scenario.name, scenario.about) = (
-        name.to_owned(),
+        (*name).to_owned(),
         format!("A scenario of the space `{name}`."),
     );
+    if *name == FOLLOWERS {
+        spec.parameters.push(follower_parameter()?);
+        return Some(spec);
+    }
     let human = BuiltInController::Human(HumanSettings::default());
     scenario.vehicles.last_mut()?.driver = Driver::Controller(human);
-    ScenarioSpace::new(spec, Path::new(""), &NoDriverFiles).ok()
+    spec.parameters
+        .retain(|parameter| parameter.name != "follower");
+    Some(spec)
+}
+
+/// Returns the parameter that draws the kind of the follower: each kind with the same probability.
+fn follower_parameter() -> Option<ParameterSpec> {
+    let drivers = ["baseline", "human", "idm", "acc-aeb"].map(DriverName::find);
+    let drivers = drivers.into_iter().collect::<Option<Vec<_>>>()?;
+    let variants = FollowerVariant::ALL.map(ParameterValue::Follower);
+    let values = drivers.into_iter().map(ParameterValue::Driver);
+    Some(ParameterSpec {
+        name: "follower".to_owned(),
+        field: "vehicles[2].follower".to_owned(),
+        unit: String::new(),
+        distribution: DistributionSpec::Choice(ChoiceSpec {
+            values: values.chain(variants).collect(),
+            weights: None,
+        }),
+        nominal: None,
+    })
 }

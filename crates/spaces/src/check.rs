@@ -26,7 +26,7 @@ pub const KEY_COLUMNS: [&str; 2] = ["method", "evaluation"];
 pub const RESULT_COLUMNS: [&str; 8] = [
     "ln_likelihood",
     "robustness",
-    "contact_time_s",
+    "collision_time_s",
     "front_vehicle",
     "rear_vehicle",
     "impact_speed_mps",
@@ -263,6 +263,7 @@ impl ParameterValue {
             Self::Number(number) => number,
             Self::Class(class) => f64::from(class.number()),
             Self::Driver(driver) => driver.number(),
+            Self::Follower(variant) => variant.number(),
         }
     }
 }

@@ -5,8 +5,8 @@ use statrs::distribution::{Gamma, LogNormal, Normal as Gauss, Weibull};
 use super::invalid::{InvalidSpace, reject};
 use super::marginal::{ContinuousDistribution, CoordinateMarginal};
 use super::spec::{
-    ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, PointMassSpec,
-    ShapeScaleSpec, UniformSpec, ValueKind,
+    ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, ParameterValue,
+    PointMassSpec, ShapeScaleSpec, UniformSpec, ValueKind,
 };
 use crumple_core::digits::format_compact;
 
@@ -18,10 +18,7 @@ const SHAPE_RANGE: [f64; 2] = [0.01, 1e6];
 impl DistributionSpec {
     pub(super) fn kind(&self) -> ValueKind {
         match self {
-            Self::Choice(choice) => choice
-                .values
-                .first()
-                .map_or(ValueKind::Number, |value| value.kind()),
+            Self::Choice(choice) => choice.kind(),
             _ => ValueKind::Number,
         }
     }
@@ -312,6 +309,17 @@ impl ChoiceSpec {
         })
     }
 
+    /// Returns the kind of the values: followers if one of them is only a follower.
+    fn kind(&self) -> ValueKind {
+        let mut kinds = self.values.iter().map(|value| value.kind());
+        let first = kinds.clone().next().unwrap_or(ValueKind::Number);
+        if kinds.any(|kind| kind == ValueKind::Follower) {
+            ValueKind::Follower
+        } else {
+            first
+        }
+    }
+
     /// Returns the values as numbers.
     fn check_values(&self) -> Result<Vec<f64>, InvalidSpace> {
         let path = ".choice.values";
@@ -319,7 +327,12 @@ impl ChoiceSpec {
         let Some(first) = self.values.first() else {
             return reject(path, "must have at least one value");
         };
-        if self.values.iter().any(|value| value.kind() != first.kind()) {
+        let kind = self.kind();
+        let is_of_kind = |value: &ParameterValue| match kind {
+            ValueKind::Follower => matches!(value.kind(), ValueKind::Driver | ValueKind::Follower),
+            _ => value.kind() == first.kind(),
+        };
+        if !self.values.iter().all(is_of_kind) {
             let problem = "must be all numbers, all classes or all drivers";
             return reject(path, problem);
         }

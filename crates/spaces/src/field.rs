@@ -1,6 +1,9 @@
 //! Fields that parameters set: paths are resolved once to typed access.
 
-use super::derived::{apply_cruise, apply_load, closing_gap_m};
+use super::derived::{
+    CRUISE_SPEED_RANGE_MPS, STOP_AND_GO_SPEED_RANGE_MPS, apply_controller, apply_cruise,
+    apply_follower, apply_load, closing_gap_m,
+};
 use super::numeric_fields::{
     DERIVED_FIELDS, DRIVER_FIELDS, FAULTS, LANE_CHANGES, LaneChangeAccessor, SCENARIO_FIELDS,
     VEHICLE_FIELDS, accelerations_mut, brake_rate_mut, final_speed_mut, known_fields_text,
@@ -38,6 +41,8 @@ pub(super) enum VehicleField {
     Class,
     /// The built-in controller that drives.
     ControllerChoice,
+    /// The kind of follower: a built-in controller, a variant of `baseline`, or no vehicle. Applied last.
+    Follower,
     /// The length, with the class of that length.
     Size,
     /// The bumper gap ahead.
@@ -62,6 +67,8 @@ pub(super) enum VehicleField {
     PiecesOnset,
     /// The acceleration of every piece, reduced where the speed would leave 18 to 130 km/h.
     PiecesCruise,
+    /// The acceleration of every piece, reduced where the speed would leave 0 to 130 km/h.
+    PiecesStopAndGo,
     /// A factor of all pieces, applied last.
     PiecesScale,
 }
@@ -116,6 +123,7 @@ impl ParameterField {
             index,
             name,
             vehicle,
+            vehicles: count,
         };
         path.resolve()
     }
@@ -143,6 +151,8 @@ struct VehiclePath<'a> {
     /// Name of the field within the vehicle.
     name: &'a str,
     vehicle: &'a VehicleSpec,
+    /// Number of vehicles of the scenario.
+    vehicles: usize,
 }
 
 impl VehiclePath<'_> {
@@ -152,16 +162,22 @@ impl VehiclePath<'_> {
             index,
             name,
             vehicle,
+            ..
         } = self;
         if let Some((_, unit, access)) = VEHICLE_FIELDS.iter().find(|(field, ..)| *field == name) {
             return Ok(self.scalar(VehicleField::Number(*access), unit));
         }
         match name {
-            "driver" if !matches!(vehicle.driver, Driver::Controller(_)) => {
+            "driver" | "follower" if !matches!(vehicle.driver, Driver::Controller(_)) => {
                 let driver = vehicle.driver.name();
                 return Err(format!(
                     "vehicle {index} of the base scenario is driven by `{driver}`, which is not a built-in controller"
                 ));
+            }
+            "follower" if index < 2 || index + 1 != self.vehicles => {
+                return Err(
+                    "only the last vehicle, behind two others, may be a `follower`".to_owned(),
+                );
             }
             "gap_m" | "time_gap_s" | "closing_time_s" if index == 0 => {
                 return Err("no vehicle is ahead of vehicle 0".to_owned());
@@ -250,9 +266,11 @@ impl FieldTarget {
         match self {
             Self::AllVehicles(_) => 1,
             Self::Vehicle(_, F::Class | F::ControllerChoice | F::Size) => 0,
-            Self::Vehicle(_, F::RateShare | F::PiecesShare | F::PiecesCruise) => 3,
+            Self::Vehicle(_, F::RateShare | F::PiecesShare) => 3,
+            Self::Vehicle(_, F::PiecesCruise | F::PiecesStopAndGo) => 3,
             Self::Vehicle(_, F::TimeGap | F::ClosingTime | F::FinalSpeedShare) => 3,
             Self::Vehicle(_, F::PiecesScale) => 4,
+            Self::Vehicle(_, F::Follower) => 5,
             Self::Scenario(_) | Self::Fault(_) | Self::Vehicle(..) => 2,
         }
     }
@@ -275,6 +293,7 @@ impl FieldTarget {
                     vehicle.position_m = gap_m;
                 }
             }
+            Self::Vehicle(index, VehicleField::Follower) => apply_follower(spec, index, value),
             Self::Vehicle(index, field) => {
                 let friction = spec.environment.friction;
                 let until_s = spec.duration_s;
@@ -320,6 +339,7 @@ impl FieldTarget {
         match self {
             Self::Vehicle(_, VehicleField::Class) => ValueKind::Class,
             Self::Vehicle(_, VehicleField::ControllerChoice) => ValueKind::Driver,
+            Self::Vehicle(_, VehicleField::Follower) => ValueKind::Follower,
             _ => ValueKind::Number,
         }
     }
@@ -366,13 +386,7 @@ impl VehicleField {
                 let class = VehicleClass::ALL.get(value as usize).copied();
                 vehicle.class = class.unwrap_or(vehicle.class);
             }
-            Self::ControllerChoice => {
-                let replacement = DriverName::from_number(value)
-                    .filter(|name| name.name() != vehicle.driver.name());
-                if let Some(controller) = replacement.and_then(DriverName::controller) {
-                    vehicle.driver = Driver::Controller(controller);
-                }
-            }
+            Self::ControllerChoice => apply_controller(vehicle, DriverName::from_number(value)),
             Self::Size => {
                 vehicle.length_m = Some(value);
                 vehicle.class = VehicleClass::from_length(value);
@@ -391,7 +405,10 @@ impl VehicleField {
                         .for_each(|from_s| *from_s += later_s);
                 }
             }
-            Self::PiecesCruise => apply_cruise(vehicle, values, until_s),
+            Self::PiecesCruise => apply_cruise(vehicle, values, until_s, CRUISE_SPEED_RANGE_MPS),
+            Self::PiecesStopAndGo => {
+                apply_cruise(vehicle, values, until_s, STOP_AND_GO_SPEED_RANGE_MPS);
+            }
             Self::PiecesScale => {
                 accelerations_mut(&mut vehicle.driver)
                     .unwrap_or_default()
@@ -411,7 +428,7 @@ impl VehicleField {
     fn get(self, mut vehicle: VehicleSpec, friction: f64) -> Vec<f64> {
         match self {
             Self::Class => vec![f64::from(vehicle.class.number())],
-            Self::ControllerChoice => DriverName::find(vehicle.driver.name())
+            Self::ControllerChoice | Self::Follower => DriverName::of_driver(&vehicle.driver)
                 .map(DriverName::number)
                 .into_iter()
                 .collect(),
@@ -447,7 +464,7 @@ impl VehicleField {
             Self::FinalSpeedShare => final_speed_mut(&mut vehicle.driver),
             Self::RateShare => brake_rate_mut(&mut vehicle.driver),
             Self::Signal(access) => return access(&mut vehicle.driver).unwrap_or_default(),
-            Self::PiecesShare | Self::PiecesCruise => {
+            Self::PiecesShare | Self::PiecesCruise | Self::PiecesStopAndGo => {
                 return accelerations_mut(&mut vehicle.driver).unwrap_or_default();
             }
             _ => None,

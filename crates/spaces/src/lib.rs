@@ -35,6 +35,8 @@
 //! | `vehicles[i].driver.pieces.brake_share` | rate of every piece, relative to the vehicle's limit on this road |
 //! | `vehicles[i].driver.pieces.onset_s` | start of the first piece; the intervals between pieces stay |
 //! | `vehicles[i].driver.pieces.cruise_mps2` | acceleration of every piece, limited to keep 18 to 130 km/h |
+//! | `vehicles[i].driver.pieces.stop_and_go_mps2` | acceleration of every piece, limited to keep 0 to 130 km/h |
+//! | `vehicles[i].follower` | kind of the last vehicle: a built-in controller, `late`, `weak` or `none` |
 //! | `vehicles[i].driver.pieces.scale` | factor of all pieces, applied last: 0 is a constant speed |
 //!
 //! # Dependence
@@ -71,7 +73,7 @@ use std::ops::Range;
 use rand::RngExt;
 
 pub use built_in::{
-    BUILT_IN_SPACES, FindSpaceError, HUMAN_SPACES, built_in_space, built_in_space_names,
+    BUILT_IN_SPACES, FindSpaceError, VARIANT_SPACES, built_in_space, built_in_space_names,
     built_in_space_summary, find_space,
 };
 pub use check::{KEY_COLUMNS, RESULT_COLUMNS};
@@ -80,9 +82,9 @@ pub use invalid::{InvalidSpace, SpaceProblem};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 pub use parameter_distribution::ParameterDistribution;
 pub use spec::{
-    Base, ChoiceSpec, DistributionSpec, DriverName, HistogramSpec, LogNormalSpec, NormalSpec,
-    ParameterSpec, ParameterValue, PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec,
-    UniformSpec,
+    Base, ChoiceSpec, DistributionSpec, DriverName, FollowerVariant, HistogramSpec, LogNormalSpec,
+    NormalSpec, ParameterSpec, ParameterValue, PointMassSpec, SPACE_VERSION, ShapeScaleSpec,
+    SpaceSpec, UniformSpec,
 };
 
 use self::copula::Copula;
@@ -91,7 +93,7 @@ use self::marginal::CoordinateMarginal;
 use self::region::LikelihoodRegion;
 use self::spec::ValueKind;
 use crumple_sim::random::{self, Purpose};
-use crumple_sim::scenario::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
+use crumple_sim::scenario::{InvalidField, Scenario, ScenarioSpec};
 
 /// A search space in which every point is a valid scenario.
 ///
@@ -190,13 +192,7 @@ impl SpaceParameter {
     /// Formats a value as a number or a name.
     #[must_use]
     pub fn format_value(&self, value: f64) -> String {
-        let name = match self.target.kind() {
-            ValueKind::Number => None,
-            ValueKind::Class => VehicleClass::ALL
-                .get(value as usize)
-                .map(|class| class.name()),
-            ValueKind::Driver => DriverName::from_number(value).map(DriverName::name),
-        };
+        let name = self.target.kind().value_name(value);
         name.map_or_else(|| value.to_string(), str::to_owned)
     }
 }

@@ -150,9 +150,10 @@ type DerivedField = (
     &'static [&'static str],
 );
 
-pub(super) const DERIVED_FIELDS: [DerivedField; 19] = [
+pub(super) const DERIVED_FIELDS: [DerivedField; 21] = [
     ("class", "", VehicleField::Class, &["class"]),
     ("driver", "", VehicleField::ControllerChoice, &["driver"]),
+    ("follower", "", VehicleField::Follower, &["driver"]),
     ("gap_m", "m", VehicleField::Gap, &["position_m"]),
     ("time_gap_s", "s", VehicleField::TimeGap, &["position_m"]),
     (
@@ -221,6 +222,12 @@ pub(super) const DERIVED_FIELDS: [DerivedField; 19] = [
         "driver.pieces.cruise_mps2",
         "m/s²",
         VehicleField::PiecesCruise,
+        &["driver.pieces.accel_mps2"],
+    ),
+    (
+        "driver.pieces.stop_and_go_mps2",
+        "m/s²",
+        VehicleField::PiecesStopAndGo,
         &["driver.pieces.accel_mps2"],
     ),
     (

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use super::copula::Dependence;
 use super::observed::{DrivingExposure, ObservedData};
 use crumple_sim::control::BuiltInController;
-use crumple_sim::scenario::{ScenarioSpec, VehicleClass};
+use crumple_sim::scenario::{Driver, ScenarioSpec, VehicleClass};
 
 /// Space file version that this release reads and writes.
 pub const SPACE_VERSION: u32 = 1;
@@ -183,7 +183,7 @@ pub struct PointMassSpec {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ChoiceSpec {
-    /// Numbers, vehicle classes, or built-in controllers.
+    /// Numbers, vehicle classes, built-in controllers, presets, or kinds of followers.
     pub values: Vec<ParameterValue>,
     /// Relative weights of the values. Default: equal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -195,15 +195,30 @@ pub struct ChoiceSpec {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(
     untagged,
-    expecting = "must be a number, a vehicle class or a built-in controller"
+    expecting = "must be a number, a vehicle class, a built-in controller, a preset, `late`, `weak` or `none`"
 )]
 pub enum ParameterValue {
     /// A number in the field's unit.
     Number(f64),
     /// A vehicle class.
     Class(VehicleClass),
-    /// A built-in controller, with its default settings.
+    /// A built-in controller with its default settings, or a preset.
     Driver(DriverName),
+    /// A follower that differs from `baseline`, or none.
+    Follower(FollowerVariant),
+}
+
+/// A kind of follower that no name of a controller states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum FollowerVariant {
+    /// `baseline` that reacts 0.5 s later.
+    Late,
+    /// `baseline` with 0.7 times its largest deceleration.
+    Weak,
+    /// No vehicle.
+    None,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -211,6 +226,23 @@ pub(super) enum ValueKind {
     Number,
     Class,
     Driver,
+    Follower,
+}
+
+impl ValueKind {
+    /// Returns the name of a value in points; `None` for a number.
+    pub(super) fn value_name(self, value: f64) -> Option<&'static str> {
+        match self {
+            Self::Number => None,
+            Self::Class => VehicleClass::ALL
+                .get(value as usize)
+                .map(|class| class.name()),
+            Self::Driver => DriverName::from_number(value).map(DriverName::name),
+            Self::Follower => FollowerVariant::from_number(value)
+                .map(FollowerVariant::name)
+                .or_else(|| DriverName::from_number(value).map(DriverName::name)),
+        }
+    }
 }
 
 impl ParameterValue {
@@ -219,19 +251,37 @@ impl ParameterValue {
             Self::Number(_) => ValueKind::Number,
             Self::Class(_) => ValueKind::Class,
             Self::Driver(_) => ValueKind::Driver,
+            Self::Follower(_) => ValueKind::Follower,
         }
     }
 }
 
-/// The name of a built-in controller.
+/// The name of a built-in controller, or of a preset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DriverName(&'static str);
 
 impl DriverName {
-    /// Returns the name if it is that of a built-in controller.
+    /// Number of the first preset in points. The numbers of built-in controllers are below, those of
+    /// [`FollowerVariant`] above.
+    const FIRST_PRESET: usize = 500;
+
+    /// Returns the name if it is that of a built-in controller or of a preset.
     #[must_use]
     pub fn find(name: &str) -> Option<Self> {
-        BuiltInController::from_name(name).map(|spec| Self(spec.name()))
+        let preset = BuiltInController::presets().find(|preset| preset.name == name);
+        preset
+            .map(|preset| Self(preset.name))
+            .or_else(|| BuiltInController::from_name(name).map(|spec| Self(spec.name())))
+    }
+
+    /// Returns the name of a driver; `None` for a script and for a controller of a file.
+    pub(super) fn of_driver(driver: &Driver) -> Option<Self> {
+        match driver {
+            Driver::Controller(controller) => {
+                Some(Self(controller.preset_name().unwrap_or(controller.name())))
+            }
+            _ => None,
+        }
     }
 
     /// Returns the name.
@@ -241,21 +291,58 @@ impl DriverName {
     }
 
     pub(super) fn controller(self) -> Option<BuiltInController> {
-        BuiltInController::from_name(self.0)
+        BuiltInController::from_name_or_preset(self.0)
     }
 
-    /// Returns the index among the built-in controllers, which represents the name in points.
+    /// Returns the number that represents the name in points: the index among the built-in controllers, or that among
+    /// the presets, plus [`Self::FIRST_PRESET`].
     pub(super) fn number(self) -> f64 {
-        BuiltInController::all()
-            .iter()
-            .position(|spec| spec.name() == self.0)
-            .map_or(f64::NAN, |index| index as f64)
+        let all = BuiltInController::all();
+        let mut presets = BuiltInController::presets();
+        let preset =
+            || Some(presets.position(|preset| preset.name == self.0)? + Self::FIRST_PRESET);
+        let built_in = all.iter().position(|spec| spec.name() == self.0);
+        let index = built_in.or_else(preset);
+        index.map_or(f64::NAN, |index| index as f64)
     }
 
     pub(super) fn from_number(number: f64) -> Option<Self> {
-        BuiltInController::all()
-            .get(number as usize)
-            .map(|spec| Self(spec.name()))
+        let index = number as usize;
+        match index.checked_sub(Self::FIRST_PRESET) {
+            Some(preset) => BuiltInController::presets()
+                .nth(preset)
+                .map(|preset| Self(preset.name)),
+            None => BuiltInController::all()
+                .get(index)
+                .map(|spec| Self(spec.name())),
+        }
+    }
+}
+
+impl FollowerVariant {
+    /// All variants.
+    pub(super) const ALL: [Self; 3] = [Self::Late, Self::Weak, Self::None];
+    /// Number of the first variant in points. The numbers of built-in controllers are below.
+    const FIRST_NUMBER: f64 = 1000.0;
+
+    /// Returns the name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Late => "late",
+            Self::Weak => "weak",
+            Self::None => "none",
+        }
+    }
+
+    pub(super) fn number(self) -> f64 {
+        Self::FIRST_NUMBER + f64::from(self as u8)
+    }
+
+    pub(super) fn from_number(number: f64) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|variant| variant.number() == number)
     }
 }
 
@@ -347,6 +434,7 @@ impl fmt::Display for ParameterValue {
             Self::Number(number) => number.fmt(out),
             Self::Class(class) => out.write_str(class.name()),
             Self::Driver(driver) => out.write_str(driver.name()),
+            Self::Follower(variant) => out.write_str(variant.name()),
         }
     }
 }
@@ -391,11 +479,13 @@ impl schemars::JsonSchema for DriverName {
     }
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        let names: Vec<_> = BuiltInController::all()
-            .iter()
-            .map(BuiltInController::name)
-            .collect();
-        schemars::json_schema!({ "description": "The name of a built-in controller.", "enum": names })
+        let all = BuiltInController::all();
+        let mut names: Vec<_> = all.iter().map(BuiltInController::name).collect();
+        names.extend(BuiltInController::presets().map(|preset| preset.name));
+        schemars::json_schema!({
+            "description": "The name of a built-in controller, or of a preset.",
+            "enum": names
+        })
     }
 }
 

@@ -421,6 +421,30 @@ fn units_may_be_written_without_superscripts() {
 }
 
 #[test]
+fn models_of_cars_may_be_chosen_as_followers() {
+    let names = ["idm", "cruise:audi-a4-short", "car:ix-2023"];
+    let choice = format!("distribution.choice = {{ values = {names:?} }}\nnominal = \"idm\"");
+    let space = over_paper_1(&parameter("vehicles[2].follower", "", &choice)).unwrap();
+    let mut drawn = std::collections::BTreeSet::new();
+    for index in 0..60 {
+        let follower = space.draw(0, index).unwrap().vehicles()[2].driver.clone();
+        let Driver::Controller(controller) = follower else {
+            panic!("{follower:?}");
+        };
+        let value = space.values(&space.draw_point(0, index))[0];
+        assert_eq!(
+            space.parameters()[0].format_value(value),
+            controller.to_arg()
+        );
+        drawn.insert(controller.to_arg());
+    }
+    assert!(names.iter().all(|name| drawn.contains(*name)), "{drawn:?}");
+    let text = file::to_toml(&space).unwrap();
+    let read = file::from_toml(&text, Path::new("s.toml"), &NoDriverFiles).unwrap();
+    assert_eq!(read.spec(), space.spec());
+}
+
+#[test]
 fn mistakes_name_line_and_field() {
     let uniform =
         |low: f64, high: f64| format!("distribution.uniform = {{ low = {low}, high = {high} }}");
@@ -450,6 +474,12 @@ fn mistakes_name_line_and_field() {
         (
             gap.replace("high = 30", "high = 10"),
             "s.toml:4: parameters[0].nominal: must be from 1 to 10, found 16",
+        ),
+        (
+            "[[parameters]]\nname = \"behind\"\nfield = \"vehicles[2].follower\"\nunit = \"\"\nnominal = \"human\"\n\
+             distribution.choice = { values = [\"idm\", \"late\"] }\n"
+                .to_owned(),
+            "s.toml:8: parameters[0].nominal: `human` is not a value of the distribution",
         ),
         (
             gap.replace("high", "hihg"),

@@ -102,6 +102,12 @@ impl StagedFiles {
         Ok(temp_path)
     }
 
+    /// Returns true if no file is staged.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.staged.is_empty()
+    }
+
     /// Moves every staged file to its path, in the order of the paths.
     ///
     /// # Errors
@@ -219,6 +225,8 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     fs::File::open(folder)
         .and_then(|folder| folder.sync_all())
         .map_err(DiskError::at(folder))?;
+    #[cfg(not(unix))]
+    let _ = folder;
     Ok(())
 }
 

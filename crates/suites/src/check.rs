@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crumple_core::digits::format_compact;
 use crumple_core::field_error::FieldError;
 use crumple_core::format_version::{UnsupportedVersion, check_version};
+use crumple_core::requirement::{InvalidRequirement, check_requirements};
 use crumple_core::text_file::FileError;
 use crumple_sim::scenario::InvalidField;
 
@@ -13,6 +14,7 @@ use super::parameter::{ImpactLimit, ParameterKind, ParameterUnit, TestParameter}
 use super::spec::{LeadManeuver, SuiteSpec, TestSpec, with_value};
 
 const MAX_POINTS: usize = 2000;
+const MAX_SEEDS: u32 = 100;
 
 /// Reason why a suite file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -51,6 +53,9 @@ pub enum SuiteProblem {
     /// The name of another test.
     #[error("another test has this name")]
     DuplicateName,
+    /// Names of requirements that are not allowed.
+    #[error(transparent)]
+    Requirement(#[from] InvalidRequirement),
     /// A text that is empty, too long, or contains control characters.
     #[error("must have 1 to 2000 characters, none of them a control character")]
     Text,
@@ -103,6 +108,18 @@ pub enum SuiteProblem {
         /// Manoeuvre of the vehicle ahead.
         lead: &'static str,
     },
+    /// A parameter without another one that belongs to it.
+    #[error("is missing: a test with `{}` needs it", other.name())]
+    MissingBeside {
+        /// The other parameter.
+        other: ParameterKind,
+    },
+    /// An event before the start of a test without a vehicle in the way.
+    #[error(
+        "`closing_time` and `manual_closing_time` must be less than `approach_time` at every point, so that the object \
+        appears, and the driver brakes, after the start"
+    )]
+    BeforeStart,
     /// A unit of another quantity.
     #[error("{} cannot be stated in {found}", parameter.label())]
     Unit {
@@ -164,6 +181,12 @@ pub enum SuiteProblem {
         /// Number of points.
         found: usize,
     },
+    /// A number of seeds outside its range.
+    #[error("must be from 1 to {MAX_SEEDS}, found {found}")]
+    Seeds {
+        /// Value in the file.
+        found: u32,
+    },
     /// A point that makes no scenario.
     #[error("{point}: is not a valid scenario: {why}")]
     Scenario {
@@ -211,6 +234,13 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
             .enumerate()
             .try_for_each(|(index, text)| check_text(text, format!("{field}[{index}]")))?;
     }
+    if let Some(found) = spec.seeds {
+        ensure(
+            (1..=MAX_SEEDS).contains(&found),
+            "seeds",
+            SuiteProblem::Seeds { found },
+        )?;
+    }
     check_length(spec.clauses.len(), 1, 100, "clauses")?;
     let mut names = Vec::new();
     let mut points = 0;
@@ -236,6 +266,9 @@ pub(super) fn check(spec: &SuiteSpec) -> CheckResult {
 
 /// Checks a test, given the number of points of the earlier tests, and returns its number of points.
 fn check_test(test: &TestSpec, path: &str, before: usize) -> Result<usize, InvalidSuite> {
+    check_requirements(&test.requirement).map_err(|invalid| {
+        InvalidSuite::new(format!("{path}.requirement"), SuiteProblem::from(invalid))
+    })?;
     let Some(lead) = check_lead(test, path)? else {
         return Ok(0);
     };
@@ -267,7 +300,8 @@ fn check_lead(test: &TestSpec, path: &str) -> Result<Option<LeadManeuver>, Inval
             let has_only_a_reason = test.parameters.iter().next().is_none()
                 && test.impact_at_most.is_none()
                 && test.margins.is_empty()
-                && test.ranges.is_empty();
+                && test.ranges.is_empty()
+                && !test.holds_speed;
             ensure(has_only_a_reason, path, SuiteProblem::LeadOrRefusal)?;
             Ok(None)
         }
@@ -379,9 +413,9 @@ fn check_margins(
 fn check_parameters(test: &TestSpec, lead: LeadManeuver, path: &str) -> CheckResult {
     for (parameter, figure) in test.parameters.iter() {
         let field = parameter_field(path, parameter);
-        let is_needed = lead.parameters().concat().contains(&parameter);
+        let mut allowed = lead.parameters().iter().chain(lead.optional_parameters());
         ensure(
-            is_needed,
+            allowed.any(|group| group.contains(&parameter)),
             &field,
             SuiteProblem::Misplaced { lead: lead.name() },
         )?;
@@ -408,7 +442,23 @@ fn check_parameters(test: &TestSpec, lead: LeadManeuver, path: &str) -> CheckRes
             _ => {}
         }
     }
-    Ok(())
+    lead.optional_parameters()
+        .iter()
+        .try_for_each(|group| check_group(test, group, path))
+}
+
+/// Checks that all parameters of a group are stated, or none.
+fn check_group(test: &TestSpec, group: &[ParameterKind], path: &str) -> CheckResult {
+    let is_stated = |parameter: &&ParameterKind| test.parameters.get(**parameter).is_some();
+    let stated = group.iter().find(is_stated);
+    let missing = group.iter().find(|parameter| !is_stated(parameter));
+    match stated.zip(missing) {
+        Some((&other, &missing)) => Err(InvalidSuite::new(
+            parameter_field(path, missing),
+            SuiteProblem::MissingBeside { other },
+        )),
+        None => Ok(()),
+    }
 }
 
 fn parameter_field(test_path: &str, parameter: ParameterKind) -> String {
@@ -421,6 +471,11 @@ fn check_point(test: &TestSpec, lead: LeadManeuver, point: &[f64], field: &str) 
             <= test.si_value(point, ParameterKind::OwnSpeed);
         ensure(is_slower, field, SuiteProblem::NotSlower)?;
     }
+    ensure(
+        test.begins_before_events(point),
+        field,
+        SuiteProblem::BeforeStart,
+    )?;
     test.scenario("point", "", point).map(drop).map_err(|why| {
         InvalidSuite::new(
             field,

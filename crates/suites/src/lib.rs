@@ -28,6 +28,7 @@ pub use parameter::{
 pub use prevention::{Prevention, ReferenceRun};
 pub use result::{
     ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict,
+    WarningOrigin,
 };
 pub use run::{SuiteRunError, run};
 pub use spec::{ClauseSpec, LeadManeuver, MarginSweep, SuiteSpec, TestSpec};

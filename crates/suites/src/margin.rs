@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::parameter::{ParameterKind, ParameterUnit};
 use super::result::TestVerdict;
 use super::run::{ControllerSetup, Criterion};
+use super::scenario::PointRun;
 use super::spec::{TestSpec, with_value};
-use crumple_sim::scenario::Scenario;
 
 /// Number of equal intervals of a sweep; the test is run at their ends.
 const SWEEP_PARTS: usize = 16;
@@ -104,10 +104,10 @@ impl Sweep<'_> {
         }
     }
 
-    /// Returns the scenario at a value of the swept parameter; `None` if it is invalid.
-    fn scenario(&self, value: f64) -> Option<Scenario> {
+    /// Returns the point at a value of the swept parameter, ready to be run; `None` if it is invalid.
+    fn point_run(&self, value: f64) -> Option<PointRun> {
         let point = with_value(&self.base, self.position, value);
-        self.test.scenario("margin", "", &point).ok()
+        self.test.point_run("margin", "", &point).ok()
     }
 }
 
@@ -239,16 +239,15 @@ fn evaluate(
     criterion: Criterion,
     setup: &ControllerSetup<'_>,
 ) -> Vec<SweepOutcome> {
-    let scenarios: Vec<Option<Scenario>> = values
+    let runs: Vec<Option<PointRun>> = values
         .iter()
-        .map(|&(index, value)| sweeps.get(index)?.scenario(value))
+        .map(|&(index, value)| sweeps.get(index)?.point_run(value))
         .collect();
-    let valid: Vec<_> = scenarios.iter().flatten().cloned().collect();
-    let mut results = setup.run_scenarios(criterion, &valid).into_iter();
-    scenarios
-        .iter()
-        .map(|scenario| {
-            let result = scenario.as_ref().and_then(|_| results.next());
+    let valid: Vec<_> = runs.iter().flatten().cloned().collect();
+    let mut results = setup.run_points(criterion, &valid).into_iter();
+    runs.iter()
+        .map(|run| {
+            let result = run.as_ref().and_then(|_| results.next());
             match result.map(|result| result.verdict) {
                 Some(TestVerdict::Passed) => Ok(()),
                 Some(TestVerdict::Refused { .. }) | None => Err(SweepFailure::Refused),

@@ -28,6 +28,20 @@ pub enum ParameterKind {
     Ramp,
     /// Time for which the sensor reports an object that does not exist.
     GhostTime,
+    /// Distance from the start to the place of such an object, divided by the speed at the start.
+    ApproachTime,
+    /// Deceleration, beyond that of manual braking, from which a test without a vehicle in the way fails.
+    AllowedDeceleration,
+    /// Deceleration of manual braking, positive.
+    ManualDeceleration,
+    /// Time from the warning to the onset of manual braking.
+    ManualDelay,
+    /// Distance to the place of an object that does not exist, divided by the speed at the start, at which manual
+    /// braking begins.
+    ManualClosingTime,
+    /// Gap divided by the closing speed at which the reference warning is given. A controller that reports warnings
+    /// needs no reference warning.
+    WarningClosingTime,
 }
 
 /// Unit that documents use.
@@ -124,7 +138,8 @@ pub struct TestParameters {
     /// Speed of the vehicle under test at the start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub own_speed: Option<TestParameter>,
-    /// Speed of the vehicle ahead, if it is slower or cuts in.
+    /// Speed of the vehicle ahead, if it is slower or cuts in. A vehicle that brakes has the speed of the vehicle under
+    /// test by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead_speed: Option<TestParameter>,
     /// Gap divided by the closing speed. Behind a standing or slower vehicle it is the value at the start; for a
@@ -146,11 +161,33 @@ pub struct TestParameters {
     /// Time for which the sensor reports an object that does not exist.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ghost_time: Option<TestParameter>,
+    /// Distance from the start to the place of such an object, divided by the speed at the start. By default 2 s more
+    /// than the closing time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub approach_time: Option<TestParameter>,
+    /// Deceleration, beyond that of manual braking, from which a test without a vehicle in the way fails. By default
+    /// 0.25 g.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub allowed_deceleration: Option<TestParameter>,
+    /// Deceleration of manual braking, positive. It builds up in 0.25 s and lasts until the end of the test.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub manual_deceleration: Option<TestParameter>,
+    /// Time from the warning to the onset of manual braking, with a vehicle in the way.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub manual_delay: Option<TestParameter>,
+    /// Distance to the place of an object that does not exist, divided by the speed at the start, at which manual
+    /// braking begins.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub manual_closing_time: Option<TestParameter>,
+    /// Gap divided by the closing speed, as the controller observes them, at which the reference warning is given. A
+    /// controller that reports warnings needs no reference warning.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warning_closing_time: Option<TestParameter>,
 }
 
 impl ParameterKind {
     /// All parameters, in the order of the values of a point.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 14] = [
         Self::OwnSpeed,
         Self::LeadSpeed,
         Self::ClosingTime,
@@ -159,6 +196,12 @@ impl ParameterKind {
         Self::Deceleration,
         Self::Ramp,
         Self::GhostTime,
+        Self::ApproachTime,
+        Self::AllowedDeceleration,
+        Self::ManualDeceleration,
+        Self::ManualDelay,
+        Self::ManualClosingTime,
+        Self::WarningClosingTime,
     ];
 
     /// Returns the name in files.
@@ -173,6 +216,12 @@ impl ParameterKind {
             Self::Deceleration => "deceleration",
             Self::Ramp => "ramp",
             Self::GhostTime => "ghost_time",
+            Self::ApproachTime => "approach_time",
+            Self::AllowedDeceleration => "allowed_deceleration",
+            Self::ManualDeceleration => "manual_deceleration",
+            Self::ManualDelay => "manual_delay",
+            Self::ManualClosingTime => "manual_closing_time",
+            Self::WarningClosingTime => "warning_closing_time",
         }
     }
 
@@ -188,6 +237,12 @@ impl ParameterKind {
             Self::Deceleration => "lead deceleration",
             Self::Ramp => "ramp",
             Self::GhostTime => "ghost time",
+            Self::ApproachTime => "approach time",
+            Self::AllowedDeceleration => "allowed deceleration",
+            Self::ManualDeceleration => "manual deceleration",
+            Self::ManualDelay => "manual delay",
+            Self::ManualClosingTime => "manual closing time",
+            Self::WarningClosingTime => "warning closing time",
         }
     }
 
@@ -195,11 +250,18 @@ impl ParameterKind {
     pub(crate) fn allowed_units(self) -> &'static [ParameterUnit] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => &[ParameterUnit::Kmph, ParameterUnit::Mps],
-            Self::ClosingTime | Self::TimeGap | Self::Ramp | Self::GhostTime => {
-                &[ParameterUnit::Second]
-            }
+            Self::ClosingTime
+            | Self::TimeGap
+            | Self::Ramp
+            | Self::GhostTime
+            | Self::ApproachTime
+            | Self::ManualDelay
+            | Self::ManualClosingTime
+            | Self::WarningClosingTime => &[ParameterUnit::Second],
             Self::Gap => &[ParameterUnit::Metre],
-            Self::Deceleration => &[ParameterUnit::Mps2, ParameterUnit::Gravity],
+            Self::Deceleration | Self::AllowedDeceleration | Self::ManualDeceleration => {
+                &[ParameterUnit::Mps2, ParameterUnit::Gravity]
+            }
         }
     }
 
@@ -208,11 +270,40 @@ impl ParameterKind {
     pub(crate) fn range(self) -> [f64; 2] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => [0.5, 100.0],
-            Self::ClosingTime | Self::TimeGap => [0.1, 60.0],
+            Self::ClosingTime
+            | Self::TimeGap
+            | Self::ApproachTime
+            | Self::ManualClosingTime
+            | Self::WarningClosingTime => [0.1, 60.0],
             Self::Gap => [0.1, 1000.0],
-            Self::Deceleration => [0.1, 30.0],
-            Self::Ramp | Self::GhostTime => [0.0, 60.0],
+            Self::Deceleration | Self::AllowedDeceleration | Self::ManualDeceleration => {
+                [0.1, 30.0]
+            }
+            Self::Ramp | Self::GhostTime | Self::ManualDelay => [0.0, 60.0],
         }
+    }
+}
+
+impl ParameterKind {
+    /// True for a parameter of the test driver, or of a test without a vehicle in the way. The description of a point
+    /// omits it if it does not vary.
+    pub(crate) fn is_of_driver_or_limit(self) -> bool {
+        matches!(
+            self,
+            Self::ApproachTime
+                | Self::AllowedDeceleration
+                | Self::ManualDeceleration
+                | Self::ManualDelay
+                | Self::ManualClosingTime
+                | Self::WarningClosingTime
+        )
+    }
+}
+
+impl TestParameter {
+    /// True for several values, or a value with a tolerance.
+    pub(crate) fn varies(&self) -> bool {
+        self.values.len() > 1 || self.tolerance > 0.0
     }
 }
 
@@ -266,6 +357,12 @@ impl TestParameters {
             ParameterKind::Deceleration => self.deceleration.as_ref(),
             ParameterKind::Ramp => self.ramp.as_ref(),
             ParameterKind::GhostTime => self.ghost_time.as_ref(),
+            ParameterKind::ApproachTime => self.approach_time.as_ref(),
+            ParameterKind::AllowedDeceleration => self.allowed_deceleration.as_ref(),
+            ParameterKind::ManualDeceleration => self.manual_deceleration.as_ref(),
+            ParameterKind::ManualDelay => self.manual_delay.as_ref(),
+            ParameterKind::ManualClosingTime => self.manual_closing_time.as_ref(),
+            ParameterKind::WarningClosingTime => self.warning_closing_time.as_ref(),
         }
     }
 

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::result::TestVerdict;
 use super::run::{ControllerSetup, Criterion, PreventabilityCache};
+use super::scenario::PointRun;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityAnalysis};
 
 /// Maximum number of failed points of a test whose avoidability is analysed; these are the first ones.
@@ -41,22 +42,21 @@ pub(super) struct Preventability {
     pub(super) classification: AvoidabilityAnalysis,
 }
 
-/// Assesses the preventability of these scenarios of a test, and adds new assessments to the cache.
+/// Assesses the preventability of these points of a test, and adds new assessments to the cache.
 pub(super) fn assess_preventability(
     criterion: Criterion,
-    scenarios: &[&Scenario],
+    runs: &[&PointRun],
     cache: &mut PreventabilityCache,
 ) -> Vec<Preventability> {
-    add_references(criterion, scenarios, cache);
-    let analysed = scenarios.iter().take(MAX_AVOIDABILITY_CHECKS);
-    add_avoidability(analysed.copied(), cache);
+    add_references(criterion, runs, cache);
+    let analysed = runs.iter().take(MAX_AVOIDABILITY_CHECKS);
+    add_avoidability(analysed.map(|run| &run.scenario), cache);
     // Drop analyses that were made for another controller: a result must not depend on which controllers run
     // together.
-    scenarios
-        .iter()
+    runs.iter()
         .enumerate()
-        .filter_map(|(index, scenario)| {
-            let mut preventability = cache.get(&scenario.spec().name)?.clone();
+        .filter_map(|(index, run)| {
+            let mut preventability = cache.get(&run.scenario.spec().name)?.clone();
             if index >= MAX_AVOIDABILITY_CHECKS {
                 preventability.classification = AvoidabilityAnalysis::default();
             }
@@ -65,21 +65,24 @@ pub(super) fn assess_preventability(
         .collect()
 }
 
-/// Runs the reference drivers in the scenarios that the cache lacks.
-fn add_references(criterion: Criterion, scenarios: &[&Scenario], cache: &mut PreventabilityCache) {
-    let new: Vec<Scenario> = scenarios
+/// Runs the reference drivers, alone in the vehicle, at the points that the cache lacks.
+fn add_references(criterion: Criterion, runs: &[&PointRun], cache: &mut PreventabilityCache) {
+    let new: Vec<PointRun> = runs
         .iter()
-        .filter(|scenario| !cache.contains_key(&scenario.spec().name))
-        .map(|&scenario| scenario.clone())
+        .filter(|run| !cache.contains_key(&run.scenario.spec().name))
+        .map(|&run| PointRun {
+            test_driver: None,
+            ..run.clone()
+        })
         .collect();
     let runs_by_driver = run_references(criterion, &new);
-    for (index, scenario) in new.iter().enumerate() {
+    for (index, run) in new.iter().enumerate() {
         let references = runs_by_driver
             .iter()
             .filter_map(|runs| runs.get(index).cloned())
             .collect();
         cache.insert(
-            scenario.spec().name.clone(),
+            run.scenario.spec().name.clone(),
             Preventability {
                 references,
                 classification: AvoidabilityAnalysis::default(),
@@ -102,7 +105,7 @@ fn add_avoidability<'s>(
         .collect();
     let analyses: Vec<_> = new
         .par_iter()
-        .map(|scenario| AvoidabilityAnalysis::classify_contact(scenario))
+        .map(|scenario| AvoidabilityAnalysis::classify_collision(scenario))
         .collect();
     for (scenario, analysis) in new.into_iter().zip(analyses) {
         if let Some(cached) = cache.get_mut(&scenario.spec().name) {
@@ -111,8 +114,8 @@ fn add_avoidability<'s>(
     }
 }
 
-/// Runs each reference driver in each scenario; the outer index is that of the driver.
-fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<ReferenceRun>> {
+/// Runs each reference driver at each point; the outer index is that of the driver.
+fn run_references(criterion: Criterion, points: &[PointRun]) -> Vec<Vec<ReferenceRun>> {
     let drivers = BuiltInController::all()
         .into_iter()
         .filter(|spec| spec.role() == Role::Reference);
@@ -122,9 +125,10 @@ fn run_references(criterion: Criterion, scenarios: &[Scenario]) -> Vec<Vec<Refer
         let setup = ControllerSetup {
             controller: &controller,
             estimator: EstimatorKind::Truth,
+            seeds: 1,
         };
         setup
-            .run_scenarios(criterion, scenarios)
+            .run_points(criterion, points)
             .into_iter()
             .map(|result| ReferenceRun {
                 driver: driver.to_owned(),

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use crumple_core::quoting::ShellWord;
+use crumple_core::text_file::is_one;
+use crumple_sim::control::TestDriverSettings;
 use crumple_sim::engine::FailedControllerRuns;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
@@ -57,8 +59,14 @@ pub struct ClauseResult {
 pub struct TestResult {
     /// Name of the test.
     pub name: String,
+    /// Names of the requirements that the test verifies.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub requirement: Vec<String>,
     /// True if the document states all parameters; otherwise crumple chose some.
     pub is_as_stated: bool,
+    /// True if the test driver holds the speed of the start.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub holds_speed: bool,
     /// Parameters, each with its origin.
     pub parameters: TestParameters,
     /// Largest impact speed that passes; `None` if no collision passes.
@@ -73,6 +81,9 @@ pub struct TestResult {
 pub struct ControllerResult {
     /// Name of the controller.
     pub controller: String,
+    /// Number of runs of each point, each with another seed; the worst one counts.
+    #[serde(skip_serializing_if = "is_one")]
+    pub seeds: u32,
     /// Worst verdict of all points.
     pub verdict: TestVerdict,
     /// Number of points.
@@ -88,6 +99,19 @@ pub struct ControllerResult {
     pub worst_in_tolerance: Option<WorstInTolerance>,
     /// Points of the grid that failed.
     pub failed_points: Vec<FailedPoint>,
+    /// Warning after which the driver brakes; `None` in tests without it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub warning: Option<WarningOrigin>,
+}
+
+/// Origin of the warning after which the driver of a test brakes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum WarningOrigin {
+    /// The controller reports it.
+    Controller,
+    /// Reference warning of the suite, at a time to collision: the controller reports none.
+    Reference,
 }
 
 /// A point that failed.
@@ -95,8 +119,14 @@ pub struct ControllerResult {
 pub struct FailedPoint {
     /// Description of the point.
     pub point: String,
-    /// Verdict of the point.
+    /// Verdict of the point, with several seeds the worst one.
     pub verdict: TestVerdict,
+    /// Number of seeds with which the point failed; absent if it was run once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failed_seeds: Option<u32>,
+    /// Test driver of the vehicle under test, if it has one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub test_driver: Option<TestDriverSettings>,
     /// Behaviour of the reference drivers at the point, with the true state.
     pub references: Vec<ReferenceRun>,
     /// Avoidability of the collision with knowledge of the future.
@@ -131,10 +161,13 @@ pub enum TestVerdict {
         /// Impact speed, in m/s.
         impact_speed_mps: f64,
     },
-    /// Braking of 0.25 g or more although nothing is in the way.
+    /// Braking although nothing is in the way.
     Braked {
-        /// Hardest braking, in m/s².
+        /// Hardest braking beyond manual braking, in m/s².
         max_brake_mps2: f64,
+        /// True if the driver brakes in the test.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        is_beyond_manual: bool,
     },
     /// The controller gave no valid answer.
     ControllerFailed {
@@ -248,7 +281,7 @@ impl TestVerdict {
         })
     }
 
-    fn is_worse_than(&self, other: &Self) -> bool {
+    pub(super) fn is_worse_than(&self, other: &Self) -> bool {
         self.severity_class()
             .cmp(&other.severity_class())
             .then(self.impact_speed_mps().total_cmp(&other.impact_speed_mps()))
@@ -289,6 +322,13 @@ impl SuiteResult {
 }
 
 impl FailedPoint {
+    /// Returns the name of a controller with the test driver of the point.
+    #[must_use]
+    pub fn with_test_driver(&self, controller: &str) -> String {
+        let driver = self.test_driver.as_ref();
+        driver.map_or_else(String::new, TestDriverSettings::name_prefix) + controller
+    }
+
     /// Returns the command that simulates the point again, from its scenario in a folder. `None` if the path of the
     /// folder is not UTF-8.
     #[must_use]
@@ -299,10 +339,11 @@ impl FailedPoint {
         estimator: EstimatorKind,
     ) -> Option<String> {
         let path = folder.join(format!("{}.toml", self.scenario_name));
+        let controller = self.with_test_driver(controller);
         Some(format!(
             "crumple simulate {} --controller {} --estimator {}",
             ShellWord(path.to_str()?),
-            ShellWord(controller),
+            ShellWord(&controller),
             ShellWord(estimator.name())
         ))
     }

@@ -35,6 +35,11 @@ pub struct SuiteSpec {
     #[serde(default)]
     #[serde(alias = "left_out")]
     pub omitted_parameters: Vec<String>,
+    /// Runs of each point, 1 to 100, each with another seed: the worst one counts. Default: 1, and 10 for a controller
+    /// that acts at random.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
+    pub seeds: Option<u32>,
     /// Clauses; 1 to 100.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = 100)))]
     pub clauses: Vec<ClauseSpec>,
@@ -62,6 +67,10 @@ pub struct ClauseSpec {
 pub struct TestSpec {
     /// Short name, unique in the suite: small letters, digits and hyphens.
     pub name: String,
+    /// Names of the requirements that the test verifies, at most 100, each of 1 to 200 bytes without a comma.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(length(max = 100)))]
+    pub requirement: Vec<String>,
     /// Manoeuvre of the vehicle ahead. A test has either this or `refusal_reason`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead: Option<LeadManeuver>,
@@ -73,13 +82,16 @@ pub struct TestSpec {
     #[serde(default)]
     #[serde(alias = "figures")]
     pub parameters: TestParameters,
+    /// True if the test driver holds the speed of the start: the vehicle under test brakes, but does not accelerate.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub holds_speed: bool,
     /// Largest impact speed that passes; without it no collision passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
     /// Parameters for which the document allows every value from the smallest to the largest. The worst point between
     /// them is searched for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "schema", schemars(length(max = 7)))]
+    #[cfg_attr(feature = "schema", schemars(length(max = 14)))]
     pub ranges: Vec<ParameterKind>,
     /// Directions in which the test is made harder until it fails.
     #[serde(default)]
@@ -97,8 +109,8 @@ pub enum LeadManeuver {
     Stopped,
     /// The vehicle ahead is slower, at constant speed. The test ends when the vehicle under test no longer closes in.
     Slower,
-    /// The vehicle ahead has the speed of the vehicle under test and brakes to standstill from the start. The test ends
-    /// when the vehicle under test stands.
+    /// The vehicle ahead brakes to standstill from the start, from the speed of the vehicle under test unless
+    /// `lead_speed` is stated. The test ends when the vehicle under test stands.
     Decelerating,
     /// A slower vehicle enters the lane at the start, at the gap that the closing time determines. 300 m ahead of it
     /// drives a vehicle at the speed of the vehicle under test. The test ends when the vehicle under test no longer
@@ -110,8 +122,12 @@ pub enum LeadManeuver {
     CutOut,
     /// No vehicle is in the way. For `ghost_time` the sensor reports a standing object that does not exist, at the gap
     /// that the closing time determines. 300 m ahead drives a vehicle at the speed of the vehicle under test. The test
-    /// fails if the vehicle under test brakes with 0.25 g or more.
+    /// fails if the vehicle under test brakes with `allowed_deceleration` or more beyond manual braking. The test ends
+    /// when the front of the vehicle under test reaches the place of the object, or when the vehicle stands.
     Ghost,
+    /// The manoeuvre `ghost` for a pair of standing vehicles beside the path: the test ends when the rear of the
+    /// vehicle under test passes their front, or when the vehicle stands.
+    PassThrough,
 }
 
 /// Direction in which a test is made harder.
@@ -141,14 +157,45 @@ impl LeadManeuver {
             Self::Slower | Self::CutIn => &[&[OwnSpeed], &[LeadSpeed], &[ClosingTime]],
             Self::Decelerating => &[&[OwnSpeed], &[Gap, TimeGap], &[Deceleration], &[Ramp]],
             Self::CutOut => &[&[OwnSpeed], &[Gap, TimeGap], &[ClosingTime]],
-            Self::Ghost => &[&[OwnSpeed], &[ClosingTime], &[GhostTime]],
+            Self::Ghost | Self::PassThrough => &[&[OwnSpeed], &[ClosingTime], &[GhostTime]],
         }
+    }
+
+    /// Returns the parameters that a test with the manoeuvre may state. An entry with several parameters means that a
+    /// test states all of them or none.
+    #[must_use]
+    pub(crate) fn optional_parameters(self) -> &'static [&'static [ParameterKind]] {
+        use ParameterKind::{
+            AllowedDeceleration, ApproachTime, LeadSpeed, ManualClosingTime, ManualDeceleration,
+            ManualDelay, WarningClosingTime,
+        };
+        match self {
+            Self::Stopped | Self::Slower | Self::CutIn | Self::CutOut => {
+                &[&[ManualDeceleration, ManualDelay, WarningClosingTime]]
+            }
+            Self::Decelerating => &[
+                &[LeadSpeed],
+                &[ManualDeceleration, ManualDelay, WarningClosingTime],
+            ],
+            Self::Ghost | Self::PassThrough => &[
+                &[ApproachTime],
+                &[AllowedDeceleration],
+                &[ManualDeceleration, ManualClosingTime],
+            ],
+        }
+    }
+
+    /// True if no vehicle is in the way, so that braking is a false activation.
+    pub(super) fn is_false_activation(self) -> bool {
+        matches!(self, Self::Ghost | Self::PassThrough)
     }
 
     #[must_use]
     pub(crate) fn under_test_index(self) -> usize {
         match self {
-            Self::Stopped | Self::Slower | Self::Decelerating | Self::Ghost => 1,
+            Self::Stopped | Self::Slower | Self::Decelerating | Self::Ghost | Self::PassThrough => {
+                1
+            }
             Self::CutIn | Self::CutOut => 2,
         }
     }
@@ -167,6 +214,7 @@ impl LeadManeuver {
             Self::CutIn => "cut-in",
             Self::CutOut => "cut-out",
             Self::Ghost => "ghost",
+            Self::PassThrough => "pass-through",
         }
     }
 }
@@ -189,6 +237,12 @@ impl TestSpec {
             lead: self.lead?,
             impact_at_most_mps,
         })
+    }
+
+    /// True if the driver brakes after a warning.
+    #[must_use]
+    pub(crate) fn has_warning(&self) -> bool {
+        self.parameters.warning_closing_time.is_some()
     }
 
     /// Returns all combinations of the values, in the units of the parameters; the last parameter varies fastest.
@@ -236,7 +290,8 @@ impl TestSpec {
         for (position, ((parameter, figure), value)) in
             self.parameters.iter().zip(point).enumerate()
         {
-            if Some(position) != without {
+            if Some(position) != without && (figure.varies() || !parameter.is_of_driver_or_limit())
+            {
                 values.push(format!("{} {value} {}", parameter.label(), figure.unit));
             }
         }

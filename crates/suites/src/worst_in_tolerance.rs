@@ -7,11 +7,11 @@ use serde::Serialize;
 use super::parameter::TestParameter;
 use super::result::{FailedPoint, TestVerdict};
 use super::run::{ControllerSetup, Criterion, RunResult};
+use super::scenario::PointRun;
 use super::spec::TestSpec;
 use crumple_core::digest::sha256;
 use crumple_sim::engine::FailedControllerRuns;
 use crumple_sim::random::{self, Purpose, Stream};
-use crumple_sim::scenario::Scenario;
 
 /// Number of uniform samples; a grid with more points has one sample per point. The search then makes [`REFINEMENTS`]
 /// rounds of [`SAMPLES_PER_REFINEMENT`] samples near the worst point.
@@ -41,7 +41,7 @@ pub struct WorstInTolerance {
 
 pub(super) struct WorstPoint {
     pub(super) point: Vec<f64>,
-    pub(super) scenario: Scenario,
+    pub(super) run: PointRun,
     pub(super) result: RunResult,
     pub(super) points_run: usize,
     pub(super) failures: usize,
@@ -180,25 +180,23 @@ impl<'t> WorstPointSearch<'t> {
     }
 
     fn evaluate(&mut self, points: Vec<GridNeighbor<'t>>) {
-        let (scenarios, points): (Vec<Scenario>, Vec<GridNeighbor<'t>>) = points
+        let (runs, points): (Vec<PointRun>, Vec<GridNeighbor<'t>>) = points
             .into_iter()
-            .filter_map(|(grid_point, point)| Some((self.scenario(&point)?, (grid_point, point))))
+            .filter_map(|(grid_point, point)| Some((self.point_run(&point)?, (grid_point, point))))
             .unzip();
-        let results = self.setup.run_scenarios(self.criterion, &scenarios);
-        for (((grid_point, point), scenario), result) in
-            points.into_iter().zip(scenarios).zip(results)
-        {
+        let results = self.setup.run_points(self.criterion, &runs);
+        for (((grid_point, point), run), result) in points.into_iter().zip(runs).zip(results) {
             self.points_run += usize::from(!result.verdict.is_refusal());
             self.failures += usize::from(result.verdict.is_failure());
             FailedControllerRuns::merge(&mut self.unanswered, result.verdict.unanswered());
             let is_worse = self
                 .worst
                 .as_ref()
-                .is_none_or(|(_, worst)| severity_key(&result) > severity_key(&worst.result));
+                .is_none_or(|(_, worst)| self.severity(&result) > self.severity(&worst.result));
             if is_worse {
                 let worst = WorstPoint {
                     point,
-                    scenario,
+                    run,
                     result,
                     points_run: 0,
                     failures: 0,
@@ -209,12 +207,29 @@ impl<'t> WorstPointSearch<'t> {
         }
     }
 
-    /// Returns the scenario of a point; `None` if it is invalid.
-    fn scenario(&self, point: &[f64]) -> Option<Scenario> {
+    /// Returns a point, ready to be run; `None` if it is invalid.
+    fn point_run(&self, point: &[f64]) -> Option<PointRun> {
         let description = self.test.describe_point(point);
         let name = format!("{}-within-{}", self.name, sha256(&description).get(..8)?);
         let about = format!("{} ({description}.)", self.about);
-        self.test.scenario(&name, &about, point).ok()
+        self.test.point_run(&name, &about, point).ok()
+    }
+
+    /// Returns a sort key: collisions by speed, then controller failures, then small gaps or braking without a vehicle
+    /// in the way. Refused points rank last.
+    fn severity(&self, result: &RunResult) -> (u8, f64) {
+        match &result.verdict {
+            TestVerdict::Refused { .. } => (0, 0.0),
+            TestVerdict::Passed if self.criterion.lead.is_false_activation() => {
+                (1, result.max_brake_mps2)
+            }
+            TestVerdict::Passed => (1, -result.min_gap_m.unwrap_or(f64::INFINITY)),
+            TestVerdict::ControllerFailed { .. } => (2, 0.0),
+            TestVerdict::Braked { max_brake_mps2, .. } => (3, *max_brake_mps2),
+            TestVerdict::Failed {
+                impact_speed_mps, ..
+            } => (4, *impact_speed_mps),
+        }
     }
 }
 
@@ -238,17 +253,4 @@ fn perturb(
 
 fn round_to_thousandth(value: f64) -> f64 {
     (value * 1e3).round() / 1e3
-}
-
-/// Returns a sort key: collisions by speed, then controller failures, then small gaps. Refused points rank last.
-fn severity_key(result: &RunResult) -> (u8, f64) {
-    match &result.verdict {
-        TestVerdict::Refused { .. } => (0, 0.0),
-        TestVerdict::Passed => (1, -result.min_gap_m.unwrap_or(f64::INFINITY)),
-        TestVerdict::ControllerFailed { .. } => (2, 0.0),
-        TestVerdict::Braked { max_brake_mps2 } => (3, *max_brake_mps2),
-        TestVerdict::Failed {
-            impact_speed_mps, ..
-        } => (4, *impact_speed_mps),
-    }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crumple_measure::{RunVerdict, Specification, SpecificationError};
 use crumple_sim::control::ControllerSource;
 use crumple_sim::engine::{
-    AfterContact, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
+    AfterCollision, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
@@ -43,7 +43,7 @@ impl ControllerUnderTest {
     pub fn simulate(&self, scenario: &Scenario) -> Result<SimulationResult, RunError> {
         let run = Run::new(
             scenario,
-            self.options().with_after_contact(AfterContact::Stop),
+            self.options().with_after_collision(AfterCollision::Stop),
         )?;
         Ok(simulate(&run, RecordingLevel::Trace))
     }

@@ -110,11 +110,11 @@ impl Property {
     #[must_use]
     pub fn no_avoidable_collision() -> Self {
         Self::with_preconditions("no avoidable collision", |controller, scenario| {
-            let verdict = controller.evaluate(&Specification::NoContact, scenario)?;
-            if verdict.contact.is_none() {
+            let verdict = controller.evaluate(&Specification::NoCollision, scenario)?;
+            if verdict.collision.is_none() {
                 return Ok(from_run(controller, scenario, &verdict));
             }
-            let avoidability = Avoidability::classify_contact(scenario);
+            let avoidability = Avoidability::classify_collision(scenario);
             Ok(
                 match (
                     avoidability.is_avoidable(),
@@ -240,7 +240,7 @@ impl Property {
                     ..controller.clone()
                 };
                 differs(controller, scenario, "the reference avoids it", || {
-                    reference.evaluate(&Specification::NoContact, scenario)
+                    reference.evaluate(&Specification::NoCollision, scenario)
                 })
             },
         )
@@ -259,7 +259,7 @@ impl Property {
                     ));
                 };
                 differs(controller, scenario, &reason, || {
-                    controller.evaluate(&Specification::NoContact, &partner)
+                    controller.evaluate(&Specification::NoCollision, &partner)
                 })
             },
         )
@@ -346,7 +346,7 @@ fn differs(
     reason: &str,
     evaluate_partner: impl FnOnce() -> Result<RunVerdict, SpecificationError>,
 ) -> Result<PropertyVerdict, SpecificationError> {
-    let own = controller.evaluate(&Specification::NoContact, scenario)?;
+    let own = controller.evaluate(&Specification::NoCollision, scenario)?;
     let is_worse = own.is_violation() && !evaluate_partner()?.is_violation();
     Ok(violated_if(is_worse, || {
         format!("{}; {reason}", describe(controller, scenario, &own))
@@ -355,7 +355,7 @@ fn differs(
 
 fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &RunVerdict) -> String {
     let robustness = format_rounded(verdict.robustness, 3);
-    match (verdict.failure, verdict.contact) {
+    match (verdict.failure, verdict.collision) {
         (Some((time_s, vehicle)), _) => {
             // A verdict has no reason of the failure.
             let again = controller.simulate(scenario).ok();
@@ -367,9 +367,12 @@ fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &Run
                 |f| f.to_string(),
             )
         }
-        (None, Some(contact)) => format!(
+        (None, Some(collision)) => format!(
             "vehicle {} hits vehicle {} at {:.2} s with {:.1} m/s (robustness {robustness})",
-            contact.rear_vehicle, contact.front_vehicle, contact.time_s, contact.impact_speed_mps
+            collision.rear_vehicle,
+            collision.front_vehicle,
+            collision.time_s,
+            collision.impact_speed_mps
         ),
         (None, None) => format!("robustness {robustness}"),
     }

@@ -11,15 +11,18 @@ from crumple._crumple import (
     Space,
     Trace,
     Track,
+    __version__,
     allow_external,
     training_preset,
 )
-from crumple._evidence import Rate, WorstCase, assess, rate, worst_case, write_report
+from crumple._evidence import PooledRate, Rate, WorstCase, assess, rate, worst_case, write_report
+from crumple._executor import Executor
 from crumple._monitor import monitor
 from crumple._registration import register_environments
 from crumple._search import SearchMethod
 from crumple._serve import serve
 from crumple._simulate import scenario, simulate, space
+from crumple._train import Training, train
 from crumple.errors import (
     AssessmentError,
     CampaignError,
@@ -31,6 +34,7 @@ from crumple.errors import (
     ScenarioError,
     SpaceError,
     TrainingError,
+    WorkerError,
 )
 
 __all__ = [
@@ -43,10 +47,12 @@ __all__ = [
     "Controller",
     "ControllerError",
     "CrumpleError",
+    "Executor",
     "Failure",
     "Figure",
     "FormulaError",
     "Observation",
+    "PooledRate",
     "Rate",
     "RateError",
     "RunError",
@@ -58,8 +64,11 @@ __all__ = [
     "SpaceError",
     "Trace",
     "Track",
+    "Training",
     "TrainingError",
+    "WorkerError",
     "WorstCase",
+    "__version__",
     "allow_external",
     "assess",
     "compare",
@@ -70,6 +79,7 @@ __all__ = [
     "serve",
     "simulate",
     "space",
+    "train",
     "training_preset",
     "worst_case",
     "write_report",

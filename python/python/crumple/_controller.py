@@ -31,6 +31,9 @@ class Controller:
     ``each_run`` it is called with a vehicle's index and the scenario's seed before each run, and returns the callable
     that drives this vehicle in this run, which may have state.
 
+    With ``warns``, ``decide`` returns a pair: the acceleration, and True while the controller warns its driver of a
+    forward collision. The test driver of suites brakes after such a warning. Excludes ``batch``.
+
     ``interval_s`` is the time between decisions (every step if None). ``identity`` names everything that determines
     its commands, such as a version; without it a campaign cannot be resumed.
 
@@ -43,6 +46,7 @@ class Controller:
     interval_s: float | None = None
     name: str = "python"
     identity: str | None = None
+    warns: bool = False
 
 
 def as_controller(controller: str | Controller | Callable[..., Any]) -> str | Controller:

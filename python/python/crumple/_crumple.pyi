@@ -1,5 +1,6 @@
 from collections.abc import Callable
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal, final
 
 import numpy as np
@@ -20,16 +21,23 @@ __all__ = [
     "Space",
     "Trace",
     "Track",
+    "__version__",
     "allow_external",
     "assess",
     "compare",
+    "count_blocks",
     "falsify",
+    "join_comparisons",
     "monitor",
+    "pool",
     "rate",
     "simulate",
+    "train",
     "training_preset",
     "worst_case",
 ]
+
+__version__: str
 
 @final
 class Observation:
@@ -61,6 +69,7 @@ class Observation:
     def speed_behind_mps(self) -> float | None: ...
     @property
     def acceleration_behind_mps2(self) -> float | None: ...
+    def __getnewargs_ex__(self) -> tuple[tuple[()], dict[str, float | None]]: ...
 
 @final
 class Scenario:
@@ -117,6 +126,7 @@ class Family:
     @property
     def byte_count(self) -> int: ...
     def read(self, bytes: bytes) -> Scenario: ...
+    def __reduce__(self) -> tuple[Any, tuple[Any, str, tuple[Any, ...]]]: ...
 
 @final
 class Property:
@@ -141,9 +151,20 @@ class Property:
     def evaluate(
         self, controller: str | Controller, scenario: Scenario, estimator: str
     ) -> tuple[Literal["holds", "not applicable", "violated"], str, str]: ...
+    def __reduce__(self) -> tuple[Any, tuple[Any, str, tuple[Any, ...]]]: ...
 
 @final
 class Track:
+    def __new__(
+        cls,
+        length_m: float,
+        mass_kg: float,
+        position_m: NDArray[np.float64],
+        speed_mps: NDArray[np.float64],
+        acceleration_mps2: NDArray[np.float64],
+        in_lane_s: list[float],
+    ) -> Track: ...
+    def __getnewargs__(self) -> tuple[Any, ...]: ...
     @property
     def length_m(self) -> float: ...
     @property
@@ -159,6 +180,8 @@ class Track:
 
 @final
 class Trace:
+    def __new__(cls, time_s: NDArray[np.float64], vehicles: list[Track]) -> Trace: ...
+    def __getnewargs__(self) -> tuple[Any, ...]: ...
     @property
     def time_s(self) -> NDArray[np.float64]: ...
     @property
@@ -168,6 +191,8 @@ class Trace:
 
 @final
 class Figure:
+    def __new__(cls, svg: str) -> Figure: ...
+    def __getnewargs__(self) -> tuple[str]: ...
     @property
     def svg(self) -> str: ...
     def save(self, path: str | PathLike[str]) -> None: ...
@@ -175,6 +200,16 @@ class Figure:
 
 @final
 class Assessment:
+    def __new__(
+        cls,
+        files: dict[str, bytes],
+        first_page_html: str,
+        text: str,
+        controllers: list[str],
+        gates: str,
+        has_passed: bool,
+    ) -> Assessment: ...
+    def __getnewargs__(self) -> tuple[Any, ...]: ...
     @property
     def evidence(self) -> dict[str, Any]: ...
     @property
@@ -184,10 +219,13 @@ class Assessment:
     def html(self) -> str: ...
     def markdown(self) -> str: ...
     def files(self) -> dict[str, bytes]: ...
+    def _write(self, folder: Path) -> None: ...
     def _repr_html_(self) -> str: ...
 
 @final
 class Simulation:
+    def __new__(cls, scenario: Scenario, controller: str, result: str, trace: Trace | None) -> Simulation: ...
+    def __getnewargs__(self) -> tuple[Any, ...]: ...
     @property
     def scenario(self) -> Scenario: ...
     @property
@@ -197,7 +235,7 @@ class Simulation:
     @property
     def is_safe(self) -> bool: ...
     @property
-    def contact(self) -> dict[str, Any] | None: ...
+    def collision(self) -> dict[str, Any] | None: ...
     @property
     def failure(self) -> str | None: ...
     @property
@@ -206,6 +244,8 @@ class Simulation:
     def vehicles(self) -> list[dict[str, Any]]: ...
     @property
     def interventions(self) -> list[dict[str, Any]]: ...
+    @property
+    def data(self) -> dict[str, Any]: ...
     @property
     def trace(self) -> Trace | None: ...
     def robustness(self, spec: str) -> float: ...
@@ -249,18 +289,28 @@ def monitor(
     over_time: bool,
 ) -> NDArray[np.float64]: ...
 def rate(
-    controller: str | Controller,
-    against: str | Controller | None,
-    space: Space,
-    runs: int,
-    confidence: float,
-    seed: int,
-    estimator: str,
+    parameters: dict[str, Any],
     resamples: int,
     folder: str | PathLike[str],
+    is_temporary: bool,
     resume: bool,
+    threads: int | None,
+    counter: Callable[[int, int, int], str | None] | None,
     progress: Callable[[int, int, int], object] | None,
 ) -> dict[str, Any]: ...
+def count_blocks(parameters: dict[str, Any], first: int, end: int, threads: int | None) -> str: ...
+def pool(certificates: list[str]) -> tuple[dict[str, Any], str]: ...
+def train(
+    preset: str,
+    seed: int,
+    out: str | PathLike[str],
+    spaces: list[tuple[str, float]],
+    episodes: int | None,
+    resume: bool,
+    threads: int | None,
+    progress: Callable[[int, int, int], object] | None,
+) -> tuple[dict[str, Any], str]: ...
+def join_comparisons(parts: list[str]) -> tuple[dict[str, Any], str]: ...
 def worst_case(
     scenario: Scenario,
     controller: str | Controller,
@@ -269,6 +319,7 @@ def worst_case(
     max_brake_mps2: float | None,
     jerk_mps3: float | None,
     budget: int,
+    threads: int | None,
     progress: Callable[[int, int, int], object] | None,
 ) -> tuple[Scenario | None, dict[str, Any], str]: ...
 def assess(
@@ -279,6 +330,7 @@ def assess(
     against: str | PathLike[str] | None,
     evidence: str | PathLike[str] | None,
     fresh: bool,
+    threads: int | None,
     progress: Callable[[int, int, int], object] | None,
 ) -> Assessment: ...
 def simulate(
@@ -286,8 +338,9 @@ def simulate(
     controller: str | Controller,
     estimator: str,
     dt_s: float | None,
-    after_contact: str,
+    after_collision: str,
     trace: bool,
+    threads: int | None,
     progress: Callable[[int, int, int], object] | None,
 ) -> list[Simulation]: ...
 def compare(
@@ -300,6 +353,7 @@ def compare(
     budget: int,
     seed: int,
     estimator: str,
+    threads: int | None,
     progress: Callable[[int, int, int], object] | None,
 ) -> tuple[dict[str, Any], str]: ...
 def falsify(
@@ -314,5 +368,6 @@ def falsify(
     estimator: str,
     folder: str | PathLike[str],
     resume: bool,
+    threads: int | None,
     progress: Callable[[int, int, int], object] | None,
 ) -> tuple[dict[str, Any], str]: ...

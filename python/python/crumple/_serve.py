@@ -37,6 +37,8 @@ def serve(controller: Controller | Callable[..., Any]) -> None:
                 answer = {"crumple": 1, "name": served.name, "deterministic": True, "batch": not served.each_run}
                 if served.interval_s is not None:
                     answer["interval_s"] = served.interval_s
+                if served.warns:
+                    answer["warns"] = True
             elif "reset" in query:
                 decide = served.decide(vehicle, query["reset"]["seed"]) if served.each_run else decide
                 answer["ready"] = True
@@ -45,6 +47,11 @@ def serve(controller: Controller | Callable[..., Any]) -> None:
                 if served.batch:
                     table = [[row.get(name, np.nan) for name in OBSERVATION] for row in rows]
                     commands = np.asarray(decide(np.array(table)), dtype=float).tolist()
+                elif served.warns:
+                    decisions = [decide(Observation(**row)) for row in rows]
+                    commands = [float(command) for command, _ in decisions]
+                    warnings = [bool(warning) for _, warning in decisions]
+                    answer["warning"] = warnings if "times_s" in query else warnings[0]
                 else:
                     commands = [float(decide(Observation(**row))) for row in rows]
                 answer["acceleration_mps2"] = commands if "times_s" in query else commands[0]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, overload
 
 from crumple._controller import Controller, as_controller
 from crumple._crumple import Scenario, Simulation, Space
 from crumple._crumple import simulate as _simulate
+from crumple._executor import Executor, Tasks, split
 from crumple.errors import ScenarioError
 
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
@@ -49,8 +51,10 @@ def simulate(  # type: ignore[overload-overlap]
     estimator: Literal["kalman", "truth"] = ...,
     *,
     dt_s: float | None = ...,
-    after_contact: Literal["stop", "continue"] = ...,
+    after_collision: Literal["stop", "continue"] = ...,
     trace: bool = ...,
+    threads: int | None = ...,
+    executor: Executor | None = ...,
     progress: Progress | None = ...,
 ) -> Simulation: ...
 
@@ -62,8 +66,10 @@ def simulate(
     estimator: Literal["kalman", "truth"] = ...,
     *,
     dt_s: float | None = ...,
-    after_contact: Literal["stop", "continue"] = ...,
+    after_collision: Literal["stop", "continue"] = ...,
     trace: bool = ...,
+    threads: int | None = ...,
+    executor: Executor | None = ...,
     progress: Progress | None = ...,
 ) -> list[Simulation]: ...
 
@@ -74,20 +80,56 @@ def simulate(
     estimator: Literal["kalman", "truth"] = "kalman",
     *,
     dt_s: float | None = None,
-    after_contact: Literal["stop", "continue"] = "stop",
+    after_collision: Literal["stop", "continue"] = "stop",
     trace: bool = True,
+    threads: int | None = None,
+    executor: Executor | None = None,
     progress: Progress | None = None,
+    after_contact: Literal["stop", "continue"] | None = None,
 ) -> Simulation | list[Simulation]:
     """Simulates a scenario, or several in a batch.
 
     ``controller`` drives the vehicles under test: a name as on the command line, a callable or a
     :class:`crumple.Controller`. Without ``trace`` results have outcomes only. ``progress`` is called with the numbers
-    of completed runs, of all runs, and of unsafe runs. An exception in it, and Ctrl-C, end the work.
+    of completed runs, of all runs, and of unsafe runs. An exception in it, and Ctrl-C, end the work. ``after_contact``
+    is the name of ``after_collision`` in releases up to 0.3.0.
 
-    Results equal those of ``crumple simulate`` to the last bit, in a batch or not.
+    ``threads`` is the number of threads, from 1 to 1024: by default ``RAYON_NUM_THREADS``, else ``OMP_NUM_THREADS``,
+    else the cores that the process may use. ``executor`` distributes several scenarios over its workers: any object
+    with the interface of :class:`concurrent.futures.Executor`. ``threads`` are then those of each task.
+
+    Results equal those of ``crumple simulate`` to the last bit, in a batch or not, on any workers.
     """
+    if after_contact is not None:
+        message = "`after_contact` is now `after_collision`; releases after 0.5 will refuse the old name"
+        warnings.warn(message, FutureWarning, stacklevel=2)
+        after_collision = after_contact
     is_single = isinstance(scenarios, Scenario | str | os.PathLike | Mapping)
     items = [scenarios] if is_single else scenarios
     resolved = [scenario(one) for one in items]  # type: ignore[union-attr, arg-type]
-    results = _simulate(resolved, as_controller(controller), estimator, dt_s, after_contact, trace, progress)
+    options = (as_controller(controller), estimator, dt_s, after_collision, trace, threads)
+    if executor is None:
+        results = _simulate(resolved, *options, progress)
+    else:
+        results = _simulate_on_workers(executor, resolved, options, progress)
     return results[0] if is_single else results
+
+
+def _simulate_on_workers(
+    executor: Executor, scenarios: list[Scenario], options: tuple[Any, ...], progress: Progress | None
+) -> list[Simulation]:
+    parts = split(len(scenarios), least=16)
+    arguments = [(scenarios[part.start : part.stop], (*options, None)) for part in parts]
+    names = [f"runs {part.start} to {part.stop - 1}" for part in parts]
+    results: list[Simulation] = []
+    unsafe = 0
+    for simulated in Tasks(executor, _simulate_part, arguments, names).results():
+        results.extend(simulated)
+        unsafe += sum(not result.is_safe for result in simulated)
+        if progress is not None:
+            progress(len(results), len(scenarios), unsafe)
+    return results
+
+
+def _simulate_part(scenarios: list[Scenario], options: tuple[Any, ...]) -> list[Simulation]:
+    return _simulate(scenarios, *options)

@@ -26,7 +26,7 @@ from crumple.errors import TrainingError
 
 State: TypeAlias = NDArray[np.float32]
 
-ENDINGS = (None, "contact", "at-rest", "time-limit")
+ENDINGS = (None, "collision", "at-rest", "time-limit")
 """Endings of an episode by the index in ``info["ending"]``; 0 for an episode that continues."""
 
 _AUTORESET_NAMES = {
@@ -140,7 +140,7 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
 
 
 class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
-    """Vector environment whose episodes step together, in Rust, on ``RAYON_NUM_THREADS`` threads.
+    """Vector environment whose episodes step together, in Rust, on as many threads as other work.
 
     Environment i returns exactly the results of a :class:`PlatoonEnv` with the same seed. With ``copy`` (the default)
     the returned arrays are copies; without it the next step overwrites them. ``autoreset_mode`` is that of Gymnasium.

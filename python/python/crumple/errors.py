@@ -56,3 +56,7 @@ class AssessmentError(CrumpleError):
 
 class TrainingError(CrumpleError):
     """A training task is invalid, or an environment was used incorrectly."""
+
+
+class WorkerError(CrumpleError):
+    """Workers of an executor ended without a result. The message names the missing seeds or runs."""

@@ -88,7 +88,9 @@ pub(super) fn load_regression_spaces(
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES
             .iter()
-            .filter_map(|(name, ..)| built_in_space(name))
+            .map(|(name, ..)| *name)
+            .chain(["followers"])
+            .filter_map(built_in_space)
             .collect());
     }
     if is_none("--regression", "spaces", names)? {

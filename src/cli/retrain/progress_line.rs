@@ -78,10 +78,10 @@ impl ProgressLine<'_> {
                 round,
                 episode,
                 episodes,
-                fewest_contacts,
+                fewest_collisions,
             } => self.print_in_round(
                 *round,
-                describe_training(*episode, *episodes, *fewest_contacts),
+                describe_training(*episode, *episodes, *fewest_collisions),
             ),
             RetrainingProgress::Evaluating { round } => self.print_in_round(
                 *round,
@@ -149,9 +149,9 @@ fn describe_search(
     }
 }
 
-fn describe_training(episode: u64, episodes: u64, fewest_contacts: Option<u64>) -> StepMessage {
-    let best = fewest_contacts.map_or("no checkpoint yet".to_owned(), |contacts| {
-        format!("best checkpoint {contacts} collisions")
+fn describe_training(episode: u64, episodes: u64, fewest_collisions: Option<u64>) -> StepMessage {
+    let best = fewest_collisions.map_or("no checkpoint yet".to_owned(), |collisions| {
+        format!("best checkpoint {collisions} collisions")
     });
     StepMessage {
         step: "training",

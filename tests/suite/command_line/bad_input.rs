@@ -420,9 +420,9 @@ fn presets_that_cannot_be_used_are_named() {
     );
     let at = line_of("space = \"paper\"");
     let no_space = format!(
-        "error: no-space.toml:{at}: spaces[2].space: `nowhere` is neither a built-in space"
+        "error: no-space.toml:{at}: spaces[4].space: `nowhere` is neither a built-in space"
     );
-    let no_file = format!("error: no-file.toml:{at}: spaces[2].space: nowhere.toml: ");
+    let no_file = format!("error: no-file.toml:{at}: spaces[4].space: nowhere.toml: ");
     let of_both = [
         ("folder", "error: folder: "),
         ("folder.toml", "error: folder.toml: "),

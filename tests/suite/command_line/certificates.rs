@@ -49,7 +49,9 @@ fn the_check_of_a_rate_names_the_plant_and_convex_programs_refuse_it() {
             text.replace("driver = \"under-test\"", driver),
         )
         .unwrap();
-        write_idm_count(folder.path(), name, "--space space.toml");
+        // Runs with the multi-body plant take long, and the statement needs few.
+        let count = "verify rate --controller idm --estimator truth --runs 40 --space space.toml";
+        run_ok(folder.path(), &format!("{count} --out {name}"));
         let message = run_crumple(folder.path(), &format!("check {name}/certificate.json"));
         assert_prints(&message, 0, &[plant]);
     }
@@ -783,10 +785,10 @@ fn each_certificate_has_its_own_verdict() {
         "{}",
         stdout(&message)
     );
-    let gate = stderr(&message).lines().last().unwrap();
+    let message_line = stderr(&message).lines().last().unwrap();
     assert!(
-        gate.starts_with("gate: not about the scenario of --scenario: "),
-        "{gate}"
+        message_line.starts_with("failed: not about the scenario of --scenario: "),
+        "{message_line}"
     );
 }
 
@@ -868,5 +870,133 @@ fn a_key_that_occurs_twice_is_no_certificate() {
     assert_eq!(
         registration.parse::<Value>().unwrap()["block_runs"],
         json!(100)
+    );
+}
+
+/// Checks that a report has the same assumptions as its text, and at least one.
+fn assert_same_assumptions(report: &serde_json::Value, text: &str) {
+    let lines = text.lines();
+    let stated: Vec<&str> = lines
+        .filter_map(|line| line.strip_prefix("  assuming that "))
+        .collect();
+    assert!(!stated.is_empty(), "{text}");
+    assert_eq!(report["assumptions"], serde_json::json!(stated), "{report}");
+}
+
+#[test]
+fn check_pools_counts_of_several_seeds() {
+    let folder = temp_folder();
+    for seed in 3..6 {
+        let count = "verify rate --controller baseline --space high-risk --estimator truth --runs 200 --confidence 0.9";
+        run_ok(
+            folder.path(),
+            &format!("{count} --seed {seed} --out rate-{seed}"),
+        );
+    }
+    let pool =
+        "check --pool rate-4/certificate.json rate-3/certificate.json rate-5/certificate.json";
+    assert_prints(
+        &run_crumple(folder.path(), &format!("{pool} --rerun")),
+        0,
+        &[
+            "pool of 3 certificates: accepted: rate: at most ",
+            "for the seeds 3 to 5 together",
+            "in 600 runs",
+            "confirmed: all 600 runs were drawn and simulated again",
+            "600 random scenarios, seed 3 to 5",
+            "it is the built-in scenario or space of that name",
+            "assuming that the range of seeds was fixed before the first run",
+        ],
+    );
+    let sampled = run_ok(
+        folder.path(),
+        &format!("{pool} --rerun=30 --rerun-seed 1 --format json"),
+    );
+    let report = &json_objects(&sampled)[0];
+    assert_eq!(
+        (
+            &report["seeds"],
+            &report["runs"],
+            &report["rerun"]["blocks"]
+        ),
+        (&serde_json::json!([3, 5]), &600.into(), &2.into()),
+        "{report}"
+    );
+    assert_same_assumptions(report, stdout(&run_ok(folder.path(), pool)));
+    let single = "check rate-3/certificate.json";
+    let json = run_ok(folder.path(), &format!("{single} --format json"));
+    assert_same_assumptions(
+        &json_objects(&json)[0],
+        stdout(&run_ok(folder.path(), single)),
+    );
+    assert_prints(
+        &run_crumple(folder.path(), "check --pool rate-3/certificate.json"),
+        0,
+        &[
+            "pool of 1 certificate: accepted: rate: at most ",
+            " for seed 3, if",
+        ],
+    );
+    let refused = "check --pool rate-3/certificate.json rate-5/certificate.json";
+    assert_prints(
+        &run_crumple(folder.path(), refused),
+        1,
+        &["pool: rejected: the seeds 3 to 5 have gaps: 1 seed is missing, the first of them is 4"],
+    );
+    let twice = "check --pool rate-3/certificate.json rate-3/certificate.json --format json";
+    let refused = run_crumple(folder.path(), twice);
+    assert_eq!(exit_code(&refused), 1);
+    let report = &json_objects(&refused)[0];
+    assert_eq!(
+        report["rejection"],
+        "rate-3/certificate.json: seed 3 occurs twice"
+    );
+    // Other counts, whose sums and bound follow from them.
+    let path = folder.path().join("rate-4/certificate.json");
+    let mut forged = Certificate::from_json(&fs::read_to_string(&path).unwrap()).unwrap();
+    let Statement::Rate(claim) = &mut forged.statement else {
+        panic!("a rate")
+    };
+    claim.blocks[1].0 = 0;
+    claim.failures = claim.blocks[0].0;
+    claim.rate_at_most = 0.99;
+    fs::write(&path, forged.to_canonical_json()).unwrap();
+    assert_prints(
+        &run_crumple(folder.path(), &format!("{pool} --rerun")),
+        1,
+        &["REFUTED", "blocks[1], runs 100 to 199 of seed 4: "],
+    );
+}
+
+#[test]
+fn jobs_set_the_number_of_threads() {
+    let folder = temp_folder();
+    let threads = |arguments: &str, variables: &[(&str, &str)]| {
+        let mut command = command(folder.path(), arguments);
+        for name in ["RAYON_NUM_THREADS", "OMP_NUM_THREADS"] {
+            command.env_remove(name);
+        }
+        let output = command.envs(variables.iter().copied()).output().unwrap();
+        json_objects(&output)[0]["threads"].as_u64().unwrap()
+    };
+    let (rayon, open_mp) = (("RAYON_NUM_THREADS", "5"), ("OMP_NUM_THREADS", "4,2"));
+    assert_eq!(
+        threads("doctor --format json --jobs 3", &[rayon, open_mp]),
+        3
+    );
+    assert_eq!(threads("doctor --format json", &[rayon, open_mp]), 5);
+    assert_eq!(threads("doctor --format json", &[open_mp]), 4);
+    let cores = std::thread::available_parallelism().unwrap().get() as u64;
+    assert_eq!(threads("doctor --format json", &[]), cores);
+    assert_refused(
+        &run_crumple(folder.path(), "doctor --jobs 0"),
+        "must be a whole number from 1 to 1024",
+    );
+    let mut without_number = command(folder.path(), "doctor");
+    without_number.env("RAYON_NUM_THREADS", "x\u{1b}");
+    let refused = without_number.output().unwrap();
+    assert_refused(
+        &refused,
+        "RAYON_NUM_THREADS: must be a whole number, found `x\\u001b`",
     );
 }

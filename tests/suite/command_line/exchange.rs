@@ -3,6 +3,7 @@
 use crumple_exchange::recording::map::{RecordingMap, json_schema};
 
 use super::*;
+use crate::assessments::approach_space;
 use crate::schema::{assert_committed, validate};
 
 #[test]
@@ -96,7 +97,8 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     );
     assert_eq!(
         stdout(&imported),
-        "hard.csv: 1 scenario (logged-pair)\nsoft.csv: 0 scenarios (logged-pair)\n"
+        "hard.csv: 1 scenario (logged-pair), no vehicle behind: collisions from behind cannot happen\n\
+         soft.csv: 0 scenarios (logged-pair)\n"
     );
     assert_eq!(
         file_names_in(&folder.path().join("episodes")),
@@ -226,7 +228,7 @@ fn names_of_files_need_not_be_utf_8() {
         stdout(&output).to_owned()
     };
     let imported = run("import", &[OsStr::new("--out"), out]);
-    assert_eq!(imported, "Stra\u{fffd}e.csv: 1 scenario (logged-pair)\n");
+    assert!(imported.starts_with("Stra\u{fffd}e.csv: 1 scenario (logged-pair)"));
     assert_eq!(
         file_names_in(&folder.path().join(out)),
         ["logged-pair-stra-e-01.toml"]
@@ -514,6 +516,10 @@ fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
     let folder = temp_folder();
     fs::create_dir(folder.path().join("own")).unwrap();
     fs::write(folder.path().join("own/constant.sh"), CONSTANT_PROCESS).unwrap();
+    // A standing leader, and runs of 2.5 s: a shell takes long for an answer.
+    let space = approach_space("barrier", 20.0);
+    fs::write(folder.path().join("barrier.toml"), space).unwrap();
+    let search = "falsify --space barrier.toml --budget 5 --controller";
     let controller = "version = 1\ncommand = [\"sh\", \"constant.sh\"]\n";
     for (name, files) in [("plain", ""), ("listed", "files = [\"constant.sh\"]\n")] {
         fs::write(
@@ -523,7 +529,7 @@ fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
         .unwrap();
         run_ok(
             folder.path(),
-            &format!("falsify --controller own/{name}.toml --budget 5 --out runs/{name}"),
+            &format!("{search} own/{name}.toml --out runs/{name}"),
         );
         let counterexamples = folder.path().join(format!("runs/{name}/counterexamples"));
         let file = file_names_in(&counterexamples)
@@ -551,7 +557,7 @@ fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
     }
     run_ok(
         folder.path(),
-        "falsify --controller 'exec:sh own/constant.sh' --budget 5 --out runs/exec",
+        &format!("{search} 'exec:sh own/constant.sh' --out runs/exec"),
     );
     let names = file_names_in(&folder.path().join("runs/exec/counterexamples"));
     let file = names

@@ -171,7 +171,7 @@ fn unsuitable_data_are_refused() {
     assert_refused(&fit("enough.csv", "--min-brake -1"), "--min-brake");
     assert_refused(
         &fit("enough.csv", "--min-brake 12"),
-        "min_brake: must be below 12 m/s²",
+        "--min-brake: the deceleration of braking must be above 0 and below 12 m/s²",
     );
     assert_refused(
         &fit("enough.csv", "--name ''"),

@@ -295,3 +295,41 @@ fn a_report_removes_nothing_that_is_elsewhere() {
     assert_refused(&assess(), "report/scenarios: is a symbolic link");
     assert_eq!(file_names_in(&at("mine")), ["a.toml", "b.toml"]);
 }
+
+/// A stop before the last rename leaves no `work.json`. Files of a person are refused before the work.
+#[test]
+fn an_incomplete_report_is_named_and_completed() {
+    let folder = temp_folder();
+    let at = |name: &str| folder.path().join(name);
+    let run = |arguments: &str| run_crumple(folder.path(), arguments);
+    fs::write(at("a.toml"), ASSESSMENT).unwrap();
+    let assess = || run("assess a.toml --out report");
+    assert_eq!(exit_code(&assess()), 0);
+    fs::remove_file(at("report/work.json")).unwrap();
+    assert_refused(
+        &run("fsck report"),
+        "report: an incomplete report without work.json: run the same command again",
+    );
+    assert_eq!(exit_code(&assess()), 0);
+    assert_eq!(exit_code(&run("fsck report")), 0);
+    fs::write(at("report/assessment.md"), "mine").unwrap();
+    let examined = run("fsck report");
+    assert_eq!(exit_code(&examined), 1);
+    assert!(
+        stdout(&examined).contains("move changed files away and run the same command again"),
+        "{}",
+        stdout(&examined)
+    );
+    for name in ["assessment.gsn.yaml", "replay.sh"] {
+        let out = format!("own-{name}");
+        fs::create_dir(at(&out)).unwrap();
+        fs::write(at(&out).join(name), "mine").unwrap();
+        let refused = run(&format!("assess a.toml --out {out}"));
+        assert_refused(
+            &refused,
+            &format!("{name}: has changed, or crumple did not"),
+        );
+        assert_eq!(file_names_in(&at(&out)), [name], "no evidence was gathered");
+    }
+    assert_refused(&run("assess --out a.toml"), "a.toml: is not a folder");
+}

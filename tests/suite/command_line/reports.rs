@@ -1,6 +1,7 @@
 //! `crumple assess` and `crumple import` on the command line.
 
 use crate::report::without_build_info;
+use crumple_report::assessment::AssessConfig;
 
 use super::*;
 
@@ -25,7 +26,10 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     let imported = run_crumple(folder.path(), "import platoon.csv --out episodes");
     assert_eq!(
         (exit_code(&imported), stdout(&imported)),
-        (0, "platoon.csv: 1 scenario (openacc)\n"),
+        (
+            0,
+            "platoon.csv: 1 scenario (openacc), no vehicle behind: collisions from behind cannot happen\n"
+        ),
         "{imported:?}"
     );
     let episode = &file_names_in(&folder.path().join("episodes"))[0];
@@ -43,6 +47,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "assessment.json",
         "assessment.junit.xml",
         "assessment.md",
+        "assessment.toml",
         "certificates",
         "counterexamples",
         "evidence",
@@ -63,7 +68,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         );
         assert_eq!(file_names_in(&folder.path().join(&out)), written);
     }
-    for name in &written[..5] {
+    for name in &written[..6] {
         let read = |folder_name: &str| {
             without_build_info(
                 name,
@@ -89,7 +94,7 @@ fn gates_decide_and_evidence_is_kept() {
     let folder = temp_folder();
     let config = |paper: bool, gates: &str| {
         let text = format!(
-            "version = 1\ncontrollers = [\"baseline\", \"policy\"]\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\n\
+            "version = 1\ncontrollers = [\"baseline\", \"idm\"]\ndraws = 20\neveryday_draws = 4\nrates.runs = 200\n\
              paper = {paper}\ndistributions = [\"paper\"]\n\
              search = {{ spaces = [\"paper\"], budget = 5 }}\ncertificates = []\n{gates}"
         );
@@ -153,7 +158,7 @@ fn gates_decide_and_evidence_is_kept() {
     assert_eq!(printed, (2, "", "error: nosuch: there is no such folder\n"));
     fs::write(folder.path().join("one/assessment.md"), "").unwrap();
     let looked = run_crumple(folder.path(), "fsck one none two");
-    assert_eq!(stderr(&looked), "gate: damaged: one; unreadable: none\n");
+    assert_eq!(stderr(&looked), "failed: damaged: one; unreadable: none\n");
 
     // The second name is that of version 0.3.0.
     for name in [
@@ -177,7 +182,7 @@ fn gates_decide_and_evidence_is_kept() {
     }
     config(
         false,
-        "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n",
+        "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"baseline\"\n",
     );
     let held = run_ok(folder.path(), "assess a.toml --out two");
     assert!(stdout(&held).ends_with("The gate holds.\n"), "{held:?}");
@@ -277,4 +282,36 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
     assert!(
         stderr(&cut).contains("cut.csv:156: the file ends within this line, so it was left out")
     );
+}
+
+/// A new user starts without a file: an own controller, the built-in configuration, and a hint for a wrong file.
+#[test]
+fn an_own_controller_is_assessed_without_a_file() {
+    let folder = temp_folder();
+    fs::write(
+        folder.path().join("aeb.toml"),
+        "version = 1\nbuilt_in = \"acc-aeb\"\n[settings]\nttc_s = 2.0\n",
+    )
+    .unwrap();
+    let wrong = run_crumple(folder.path(), "assess aeb.toml");
+    assert_eq!(exit_code(&wrong), 2);
+    let message = stderr(&wrong);
+    for part in [
+        "is a controller",
+        "assess --controller aeb.toml",
+        "show assessment",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
+    let shown = run_crumple(folder.path(), "show assessment");
+    assert_eq!(exit_code(&shown), 0);
+    let shown: AssessConfig = toml::from_str(stdout(&shown)).expect("a configuration");
+    let mut default = AssessConfig::default();
+    // The file states what the default leaves to the paper.
+    default.subject = Some("road".to_owned());
+    default.distributions = Some(default.rate_spaces());
+    default.search.spaces = Some(default.search_spaces());
+    assert_eq!(shown, default);
+    let both = run_crumple(folder.path(), "assess aeb.toml --controller idm");
+    assert_eq!(exit_code(&both), 2);
 }

@@ -216,11 +216,11 @@ fn an_imitation_is_retrained_in_all_spaces() {
         .unwrap()
         .is_empty()
     {
-        "gate: seed 0: the policy collides in paper-"
+        "failed: seed 0: the policy collides in paper-"
     } else if round["acceptance"] == "accepted" {
         ""
     } else {
-        "gate: no round was accepted"
+        "failed: no round was accepted"
     };
     assert_contains(
         stderr(&retrained),

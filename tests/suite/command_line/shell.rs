@@ -81,8 +81,8 @@ fn completions_have_the_built_in_names() {
         stdout(&output).trim().to_owned()
     };
     for (words, expected) in [
-        ("falsify --controller base", "baseline baseline-unlatched"),
-        ("falsify --against retr", "retrained"),
+        ("falsify --controller base", "baseline"),
+        ("falsify --against poli", "policy"),
         ("falsify --space high", "high-risk high-risk-human"),
         ("falsify --method cma", "cma-es"),
         ("verify rate --space traf", "traffic traffic-human"),
@@ -128,19 +128,19 @@ fn completions_have_the_built_in_names() {
         (
             "zsh",
             [
-                ":{compadd -- baseline baseline-unlatched ",
+                ":{compadd -- baseline idm ",
                 " paper-3; _files}",
-                " shield:random-actions; _files}",
+                " shield2:road; _files}",
                 ":{compadd -- fmvss-127 ",
             ],
         ),
         (
             "fish",
             [
-                " -r -F -a \"baseline\\t''\nbaseline-unlatched\\t''",
+                " -r -F -a \"baseline\\t''\nidm\\t''",
                 "-n \"__fish_crumple_using_subcommand simulate\" -a \"paper-1 paper-2 paper-3\"\n",
                 "-n \"__fish_crumple_using_subcommand suite; and __fish_seen_subcommand_from run\" -a \"fmvss-127 ",
-                "\nshield:random-actions\\t''\"",
+                "\nshield2:road\\t''\"",
             ],
         ),
     ] {
@@ -263,7 +263,8 @@ fn built_in_items_are_shown_as_files() {
     let unknown = run_crumple(folder.path(), "show paper-4");
     assert_refused(
         &unknown,
-        "there is no built-in file `paper-4`. Names: scenario: paper-1, paper-2, paper-3; space: paper,",
+        "there is no built-in file `paper-4`. Names: assessment: assessment; scenario: paper-1, paper-2, paper-3; \
+         space: paper,",
     );
     for name in ["fast", "fmvss-127", "car-following", "heavy"] {
         assert!(stderr(&unknown).contains(name), "{name}");

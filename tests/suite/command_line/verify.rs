@@ -54,6 +54,14 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
             "shield,colour=1:idm",
             "`colour=1` is not a setting of a shield",
         ),
+        (
+            "shield2,reacts=1,ttc=2:idm",
+            "shield2: reacts and ttc exclude each other",
+        ),
+        (
+            "shield2,raise=0.5:idm",
+            "shield2: raise must be 0 or 1, found 0.5",
+        ),
     ] {
         assert_refused(
             &run_crumple(
@@ -63,6 +71,74 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
             message,
         );
     }
+}
+
+/// The class of followers comes first in the text.
+#[test]
+fn two_sided_certificates_are_written_and_accepted() {
+    let folder = temp_folder();
+    for more in [
+        "--settings level=3",
+        "--settings level=2,reacts=0.5",
+        "--filter",
+    ] {
+        let written = run_ok(folder.path(), &format!("verify two-sided paper-1 {more}"));
+        let passage = "two-sided.json: accepted: two-sided: with a follower that brakes";
+        assert!(stdout(&written).contains(passage), "{}", stdout(&written));
+        let checked = run_ok(folder.path(), "check two-sided.json");
+        assert!(
+            stdout(&checked).contains("behind: only a follower"),
+            "{}",
+            stdout(&checked)
+        );
+    }
+    let too_high = run_crumple(
+        folder.path(),
+        "verify two-sided paper-1 --settings level=12",
+    );
+    assert_reports(&too_high, 1, "the highest level with a plan is");
+    assert_reports(&too_high, 1, " m/s² (level=");
+    let raising = run_crumple(folder.path(), "verify two-sided paper-1 --settings raise=1");
+    assert_refused(&raising, "raise has no effect here");
+    let delayed = run_crumple(
+        folder.path(),
+        "verify two-sided paper-1 --settings ,level=3",
+    );
+    assert_refused(&delayed, "`` is not a setting of a two-sided shield");
+}
+
+/// `--level` takes its settings after an equals sign only, so that a scenario may follow it.
+#[test]
+fn levels_are_measured_or_missing_with_a_reason() {
+    let folder = temp_folder();
+    let run = |more: &str| run_crumple(folder.path(), &format!("simulate {more} --controller idm"));
+    let swallowed = run("--level paper-1");
+    assert!(
+        stdout(&swallowed).contains("vehicle 1: level"),
+        "{}",
+        stdout(&swallowed)
+    );
+    assert_refused(&run("paper-1 --level=level=4"), "level has no effect here");
+    assert_refused(
+        &run("paper-1 --level=drift=0.2,gap-error=5"),
+        "gap-error has no effect here",
+    );
+    let brakes = stdout(&swallowed).contains("the level holds only for a follower that brakes at");
+    assert!(brakes, "{}", stdout(&swallowed));
+    let reacts = run("paper-1 --level=reacts=1");
+    let note = "note: vehicle 2 (`baseline`) is not known to be such a follower";
+    assert!(stdout(&reacts).contains(note) && !stdout(&swallowed).contains(note));
+    let plant = run("paper-1 --level --plant multi-body");
+    assert!(
+        stdout(&plant).contains("vehicle 1: no level: "),
+        "{}",
+        stdout(&plant)
+    );
+    run_ok(folder.path(), "simulate paper-1 --level --trace motion.csv");
+    let table = fs::read_to_string(folder.path().join("motion.csv")).unwrap();
+    assert!(
+        table.starts_with("time_s,vehicle,position_m,speed_mps,acceleration_mps2,gap_m,level_mps2")
+    );
 }
 
 /// Filter errors sometimes exceed their bounds, so no output calls them proved.
@@ -96,7 +172,7 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     };
     assert!(says(
         "--help",
-        "keep their bounds of six standard deviations of the noise"
+        "assumes, without proof, that noise and estimation errors stay within six standard deviations"
     ));
     assert!(says(
         "commands.md",
@@ -249,7 +325,7 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     assert_eq!(exit_code(&whole), 0, "{}", stderr(&whole));
     assert!(
         stderr(&whole).starts_with("registered as ")
-            && stdout(&whole).starts_with("0 failures, of 2500 runs")
+            && stdout(&whole).starts_with("0 failures in 2500 runs")
     );
     let file = |path: &str| fs::read_to_string(folder.path().join(path)).unwrap();
     let certificate: Value = serde_json::from_str(&file("whole/certificate.json")).unwrap();
@@ -312,7 +388,13 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     );
     assert_eq!(
         file_names_in(&folder.path().join("rare")),
-        ["rare-estimate.json", "work.json", "work.lock"],
+        [
+            "failures",
+            "rare-estimate.json",
+            "rare-failures.json",
+            "work.json",
+            "work.lock"
+        ],
         "no certificate"
     );
     let written = fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
@@ -354,7 +436,10 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert_prints(
         &fsck(),
         0,
-        &["rare: a rare-failure estimate, complete; 1 of 1 files"],
+        &[
+            "rare: a rare-failure estimate, complete; ",
+            " files are intact",
+        ],
     );
     fs::write(
         folder.path().join("rare/rare-estimate.json"),

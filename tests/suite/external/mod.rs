@@ -121,6 +121,7 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
         Refused("base.vehicles[2].driver.file.path: "),
     ),
     ("verify shield", "--help", StartsNothing),
+    ("verify two-sided", "driven.toml", Refused("driven.toml:")),
     (
         "verify rate",
         "--controller idm --space space.toml --runs 2 --out o",

@@ -32,7 +32,7 @@ const COUNT: ResumableCommand = ResumableCommand(
 );
 
 const ESTIMATE: ResumableCommand = ResumableCommand(
-    "verify rate --controller match-leader --rare --estimator truth --samples 50 --repetitions 20",
+    "verify rate --controller match-leader --rare --estimator truth --samples 50 --repetitions 10",
     None,
 );
 

@@ -81,7 +81,7 @@ fn write_fmu(path: &Path, xml: &str, members: &[(&str, &[u8])]) {
     fs::write(path, zip_archive(&[&[description], members].concat())).unwrap();
 }
 
-fn example_fmu_folder() -> Option<tempfile::TempDir> {
+pub(crate) fn example_fmu_folder() -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), EXAMPLE, "-DEXAMPLE")?;
     write_fmu(
@@ -203,6 +203,34 @@ fn an_fmu_with_a_state_of_its_own_steps_by_the_decision_interval() {
     }
     assert_eq!(checked, 20);
     assert_eq!(simulate_with_truth(&controller, &scenario), simulated);
+}
+
+/// With its command as its warning, an FMU warns as soon as it accelerates with more than 0.5 m/s².
+#[test]
+fn the_test_driver_brakes_after_the_warning_of_an_fmu() {
+    let Some(odd) = odd_fmu_folder("NOTHING") else {
+        return;
+    };
+    let text = ODD_CONTROLLER.replace("fmu =", "warning = \"command\"\nfmu =");
+    fs::write(odd.path().join("odd.toml"), text).unwrap();
+    let scenario = built_in_scenario("paper-1")
+        .unwrap()
+        .edited(|spec| spec.vehicles[1].speed_mps -= 5.0)
+        .unwrap();
+    let accelerations = |name: &str| {
+        let controller = find_controller(name, odd.path()).source;
+        assert!(controller.reports_warnings());
+        let simulated = simulate_with_truth(&controller, &scenario);
+        simulated.trace.unwrap().vehicles[1]
+            .acceleration_mps2
+            .clone()
+    };
+    let alone = accelerations("odd.toml");
+    let warned = alone.iter().position(|command| *command > 0.5);
+    assert!(warned.is_some());
+    let driven = accelerations("test-driver,brake_mps2=9,ramp_s=0,delay_s=0.2:odd.toml");
+    let braking = driven.iter().position(|command| *command <= -7.5);
+    assert_eq!(braking, warned.map(|step| step + 20));
 }
 
 #[test]

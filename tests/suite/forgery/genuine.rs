@@ -21,7 +21,7 @@ use super::GenuineCertificate;
 use crate::networks::find_source;
 
 /// Number of kinds among the genuine certificates.
-pub(super) const KIND_COUNT: usize = 8;
+pub(super) const KIND_COUNT: usize = 9;
 
 /// Returns true if a statement and what the checker shows for it imply the statement `other` about the same subject.
 pub(super) fn implies(original: &Statement, shown: &ProvedClaim, other: &Statement) -> bool {
@@ -236,5 +236,6 @@ pub(super) fn genuine_certificates() -> Vec<GenuineCertificate> {
     let kernel = |(_, certificate)| GenuineCertificate::new(certificate, None, None);
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all.push(set_certificate());
+    all.extend(super::two_sided::certificates());
     all
 }

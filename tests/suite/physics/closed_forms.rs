@@ -42,7 +42,11 @@ impl AcceleratedBody {
 
 /// Returns the first collision of two bodies and their smallest gap until `end_s`, in closed form: the gap is monotone
 /// between the instants at which a body stops or both speeds are equal, so bisection finds its root.
-fn first_contact(front: AcceleratedBody, rear: AcceleratedBody, end_s: f64) -> (Option<f64>, f64) {
+fn first_collision(
+    front: AcceleratedBody,
+    rear: AcceleratedBody,
+    end_s: f64,
+) -> (Option<f64>, f64) {
     let gap = |t: f64| front.x_at(t) - rear.x_at(t);
     let mut turns = vec![0.0, end_s, front.stop_time_s(), rear.stop_time_s()];
     turns.push((rear.v - front.v) / (front.a - rear.a));
@@ -235,19 +239,20 @@ proptest! {
     ) {
         let (front, rear) = (AcceleratedBody { x: g, v: v_f, a: a_f }, AcceleratedBody { x: 0.0, v: v_r, a: a_r });
         let steps = steps.min((12.0 / step_s) as u32);
-        let (meeting_s, smallest_m) = first_contact(front, rear, f64::from(steps) * step_s);
+        let (meeting_s, smallest_m) = first_collision(front, rear, f64::from(steps) * step_s);
         prop_assume!(meeting_s.is_some() || smallest_m > 1e-6);
         let result = run(&two_vehicle_scenario(front, rear, step_s, steps));
-        match (result.outcome.contact(), meeting_s) {
+        match (result.outcome.collision(), meeting_s) {
             (None, None) => {
                 let min_gap_m = result.vehicles[1].min_gap_m.unwrap();
                 prop_assert!((min_gap_m - smallest_m.min(g)).abs() < 1e-9, "{min_gap_m} m, closed form {smallest_m} m");
             }
-            (Some(contact), Some(time_s)) => {
+            (Some(collision), Some(time_s)) => {
                 let impact_mps = rear.v_at(time_s) - front.v_at(time_s);
                 prop_assume!(impact_mps > 0.1);
-                prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
-                prop_assert!((contact.impact_speed_mps - impact_mps).abs() < 1e-8);
+                let error_s = (collision.time_s - time_s).abs();
+                prop_assert!(error_s < 1e-9, "{} s, closed form {time_s} s", collision.time_s);
+                prop_assert!((collision.impact_speed_mps - impact_mps).abs() < 1e-8);
             }
             (found, expected) => prop_assert!(false, "found {found:?}, closed form {expected:?}"),
         }

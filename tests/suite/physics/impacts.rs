@@ -2,7 +2,7 @@
 
 use crumple_fuzzing::oracle::impacts_are_inelastic;
 use crumple_fuzzing::{RunSetup, TestCase};
-use crumple_sim::engine::AfterContact;
+use crumple_sim::engine::AfterCollision;
 use crumple_sim::scenario::{LeadProfile, Scenario, ScenarioSpec};
 use crumple_testing::generator::make_scripted;
 use proptest::prelude::*;
@@ -30,7 +30,7 @@ fn any_pile_up() -> impl Strategy<Value = Scenario> {
 
 fn continuing_setup() -> RunSetup {
     RunSetup {
-        after_contact: AfterContact::Continue,
+        after_collision: AfterCollision::Continue,
         ..RunSetup::with_true_state()
     }
 }

@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 use super::trace_of;
 use crate::generate::{
-    any_after_contact, any_profile, any_scenario, any_scenario_of_shape, any_setup, make_average,
+    any_after_collision, any_profile, any_scenario, any_scenario_of_shape, any_setup, make_average,
     simulate_traced, with_cases, without_learned_drivers, without_noise,
 };
 
@@ -92,7 +92,7 @@ proptest! {
 
     /// A leader that acts k steps later delays everything by k steps, and shifts it along the road accordingly.
     #[test]
-    fn time_shift(scenario in any_steady_scenario(), steps in 1..150_usize, after_contact in any_after_contact()) {
+    fn time_shift(scenario in any_steady_scenario(), steps in 1..150_usize, after_collision in any_after_collision()) {
         let spec = scenario.spec();
         let by_s = steps as f64 * spec.step_s;
         let later = scenario.edited(|spec| {
@@ -101,7 +101,7 @@ proptest! {
                 delay_profile(profile, by_s);
             }
         }).expect("still valid");
-        let options = RunSetup { after_contact, ..RunSetup::with_true_state() }.options(spec.step_s);
+        let options = RunSetup { after_collision, ..RunSetup::with_true_state() }.options(spec.step_s);
         let (now, then) = (simulate_traced(&scenario, &options), simulate_traced(&later, &options));
         prop_assume!(!is_grazing(&now) && !is_grazing(&then));
         assert_same_impacts(&now, &then, 0, by_s)?;

@@ -67,6 +67,48 @@ while read -r line; do
 done
 "#;
 
+/// Warns always, and brakes never.
+const WARNING_SCRIPT: &str = r#"
+while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
+    case $line in
+        *hello*) printf '%s\n' '{"crumple":1,"name":"warning","deterministic":true,"warns":true}' ;;
+        *reset*) printf '%s\n' "{\"id\":$id,\"ready\":true}" ;;
+        *) printf '%s\n' "{\"id\":$id,\"acceleration_mps2\":0,\"warning\":true}" ;;
+    esac
+done
+"#;
+
+/// The test driver brakes after the warning of a process. A promised warning that is missing is a failure.
+#[test]
+fn the_test_driver_brakes_after_the_warning_of_a_process() {
+    let folder = temp_folder();
+    let script = folder.path().join("warning.sh");
+    fs::write(&script, WARNING_SCRIPT.trim_start()).unwrap();
+    let name = "test-driver,brake_mps2=4,ramp_s=0,delay_s=0.5:exec:sh warning.sh";
+    let controller = find_controller(name, folder.path());
+    assert!(controller.source.reports_warnings());
+    let scenario = built_in_scenario("paper-1").unwrap();
+    let simulated = simulate_with_truth(&controller.source, &scenario);
+    let own = &simulated.trace.as_ref().unwrap().vehicles[1];
+    assert_eq!(own.acceleration_mps2[49..51], [0.0, -4.0]);
+    for shield in ["shield", "shield2"] {
+        let shielded =
+            format!("test-driver,brake_mps2=4,ramp_s=0,delay_s=0.5:{shield}:exec:sh warning.sh");
+        let controller = find_controller(&shielded, folder.path());
+        let simulated = simulate_with_truth(&controller.source, &scenario);
+        let own = &simulated.trace.as_ref().unwrap().vehicles[1];
+        assert!(own.acceleration_mps2[50] <= -4.0, "{shield}");
+    }
+    let silent = WARNING_SCRIPT.replace(",\\\"warning\\\":true}", "}");
+    fs::write(&script, silent.trim_start()).unwrap();
+    let controller = find_controller(name, folder.path());
+    let failed = simulate_with_truth(&controller.source, &scenario).outcome;
+    let reason = failed.failed_controller().expect("a failure").reason();
+    assert!(reason.contains("lacks `warning`"), "{reason}");
+}
+
 /// The input `last_answer_mps2` of a process is the command that its shield gave in place of the answer.
 #[test]
 fn a_process_learns_of_the_commands_that_its_shield_replaces() {
@@ -517,7 +559,7 @@ fn controller_files_of_commands_are_refused_by_file_line_and_field() {
         (
             "command",
             "# ",
-            "bad.toml:1: version: one of `network`, `fmu` and `command` is required",
+            "bad.toml:1: version: one of `built_in`, `network`, `fmu` and `command` is required",
         ),
     ];
     for (was, is, message) in cases {
@@ -625,9 +667,9 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         let counted = counted.output().unwrap();
         let message = format!("{}{}", stderr(&counted), stdout(&counted));
         let expected = if controller == "crash.toml" {
-            "(200 failures, of 200 runs"
+            "(200 failures in 200 runs"
         } else {
-            "0 failures, of 10000 runs"
+            "0 failures in 10000 runs"
         };
         assert!(message.contains(expected), "{message}");
         assert_no_process_remains(&mark);

@@ -401,13 +401,13 @@ fn a_field_of_a_controller_is_found_in_its_file() {
 #[test]
 fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let folder = controllers_folder();
-    let suites = "suites = [{ suite = \"fmvss-127\", controllers = [\"near.toml\"] }]\n";
+    let suites = "suites = [{ suite = \"afgbv-cut-in\", controllers = [\"near.toml\"] }]\n";
     let gates = [
         "require = \"no-avoidable-failure\"\ncontroller = \"near.toml\"\nspace = \"short.toml\"",
         "require = \"unnecessary-braking-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"left-behind-at-most\"\ncontroller = \"near.toml\"\npercent = 5",
         "require = \"string-stable\"\ncontroller = \"near.toml\"",
-        "require = \"suite-passed\"\ncontroller = \"near.toml\"\nsuite = \"fmvss-127\"",
+        "require = \"suite-passed\"\ncontroller = \"near.toml\"\nsuite = \"afgbv-cut-in\"",
         "require = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"near.toml\"",
     ];
     let gates: String = gates
@@ -461,7 +461,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let gates = report["summary"]["gates"].as_array().unwrap();
     let of_suite = gates
         .iter()
-        .find(|gate| gate["gate"].as_str().unwrap().contains("fmvss-127"))
+        .find(|gate| gate["gate"].as_str().unwrap().contains("afgbv-cut-in"))
         .unwrap();
     assert!(
         of_suite["reason"]
@@ -475,10 +475,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         .iter()
         .find(|claim| claim["part"] == "suites")
         .unwrap();
-    assert_eq!(
-        of_suite["statuses"][0]["strength"], "unanswered",
-        "{of_suite}"
-    );
+    assert_eq!(of_suite["statuses"][0]["basis"], "unanswered", "{of_suite}");
     for claim in report["summary"]["claims"].as_array().unwrap() {
         let (words, standing) = (claim["claim"].as_str().unwrap(), &claim["statuses"][0]);
         let of_driving = [
@@ -488,11 +485,11 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         ];
         match of_driving.iter().any(|driving| words.starts_with(driving)) {
             true => assert_eq!(
-                (&standing["strength"], &standing["refutes"]),
+                (&standing["basis"], &standing["refutes"]),
                 (&"unanswered".into(), &false.into()),
                 "{words}"
             ),
-            false => assert_ne!(standing["strength"], "tested", "{words}: {standing}"),
+            false => assert_ne!(standing["basis"], "tested", "{words}: {standing}"),
         }
     }
     let markdown = fs::read_to_string(folder.path().join("out/assessment.md")).unwrap();

@@ -13,12 +13,12 @@ use crumple_fuzzing::{
     Crumple, Invariant, ORACLES, ObservationSample, OracleFn, ScenarioFormat, System,
     TEST_CASE_BYTES, TestCase,
 };
-use crumple_measure::ContactRole;
+use crumple_measure::CollisionRole;
 use crumple_measure::stl::{Formula, MonitorError, SampledSignals};
 use crumple_search::worst_case::{self, Avoidance};
 use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
 use crumple_sim::engine::{
-    self, Contact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    self, Collision, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::observation::Observation;
 use crumple_sim::scenario::Scenario;
@@ -59,14 +59,14 @@ pub(super) enum Fault {
     /// The struck vehicle keeps its speed.
     ElasticImpact,
     /// Vehicles separate after a collision.
-    ContactReleased,
+    CollisionReleased,
     /// The run continues without reporting the collision.
-    ContactForgotten,
+    CollisionForgotten,
     /// The smallest gap is that at the samples only, of the pair behind.
     GapOfVehicleBehind,
     FrictionIgnored,
     /// The report swaps the striking and the struck vehicle.
-    ContactRoleSwapped,
+    CollisionRoleSwapped,
     /// The closing speed has the wrong sign.
     RateSign,
     /// Estimated speeds may be negative.
@@ -230,9 +230,11 @@ impl System for FaultySystem {
         Ok(self.0 == Fault::AlwaysSatisfied || Crumple.is_satisfied(formula, signals)?)
     }
 
-    fn contact_role(&self, contact: &Contact, scenario: &Scenario) -> ContactRole {
-        match Crumple.contact_role(contact, scenario) {
-            ContactRole::Hits if self.0 == Fault::ContactRoleSwapped => ContactRole::HitFromBehind,
+    fn collision_role(&self, collision: &Collision, scenario: &Scenario) -> CollisionRole {
+        match Crumple.collision_role(collision, scenario) {
+            CollisionRole::Hits if self.0 == Fault::CollisionRoleSwapped => {
+                CollisionRole::HitFromBehind
+            }
             role => role,
         }
     }
@@ -271,9 +273,9 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
                 }
             }
         }
-        Fault::ContactReleased => {
+        Fault::CollisionReleased => {
             for impact in &result.impacts {
-                let last_mps = trace.vehicles[impact.contact.rear_vehicle]
+                let last_mps = trace.vehicles[impact.collision.rear_vehicle]
                     .speed_mps
                     .last_mut();
                 *last_mps.expect("every track has samples") *= 0.5;
@@ -281,10 +283,10 @@ fn inject_fault(fault: Fault, mut result: SimulationResult, run: &Run) -> Simula
         }
         Fault::ElasticImpact => {
             if let Some(impact) = result.impacts.first_mut() {
-                impact.common_speed_mps = impact.contact.rear_speed_mps;
+                impact.common_speed_mps = impact.collision.rear_speed_mps;
             }
         }
-        Fault::ContactForgotten => {
+        Fault::CollisionForgotten => {
             result.impacts.clear();
             result.outcome = Outcome::NoCollision;
         }
@@ -339,11 +341,15 @@ fn every_oracle_notices_its_fault() {
             Invariant::Momentum,
         ),
         (
-            Fault::ContactReleased,
+            Fault::CollisionReleased,
             impacts_are_inelastic,
             Invariant::Sticking,
         ),
-        (Fault::ContactForgotten, monitor_agrees, Invariant::Monitor),
+        (
+            Fault::CollisionForgotten,
+            monitor_agrees,
+            Invariant::Monitor,
+        ),
         (
             Fault::GapOfVehicleBehind,
             metrics_agree,
@@ -351,9 +357,9 @@ fn every_oracle_notices_its_fault() {
         ),
         (Fault::FrictionIgnored, metrics_agree, Invariant::Limits),
         (
-            Fault::ContactRoleSwapped,
+            Fault::CollisionRoleSwapped,
             metrics_agree,
-            Invariant::ContactRole,
+            Invariant::CollisionRole,
         ),
         (
             Fault::RateSign,

@@ -60,7 +60,7 @@ fn every_controller_has_a_worst_case_that_replays_from_its_file() {
                 RecordingLevel::Summary,
             );
             assert_eq!(replayed.outcome, attack.outcome, "{controller}");
-            assert!(attack.outcome.contact().is_some(), "{controller}");
+            assert!(attack.outcome.collision().is_some(), "{controller}");
             let Driver::Profile(LeadProfile::Pieces(pieces)) = &read.vehicles()[0].driver else {
                 panic!()
             };

@@ -150,7 +150,7 @@ fn simulate_profiles(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec
         &runs,
         RecordingLevel::Summary,
         |_, simulated| match &simulated.outcome {
-            Outcome::Collision(contact) => -0.1 * contact.impact_speed_mps.powi(2),
+            Outcome::Collision(collision) => -0.1 * collision.impact_speed_mps.powi(2),
             _ => super::smallest_gap_m(&simulated),
         },
     );

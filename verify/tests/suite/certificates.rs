@@ -265,6 +265,11 @@ fn exit_codes() {
     );
     assert_eq!(run(&[&paths[1], &paths[2], &paths[0]]).0, 2);
     assert_eq!((run(&[]).0, run(&[&folder.join("absent")]).0), (2, 2));
+    // Neither an unknown option nor one without its value is the name of a file.
+    for option in ["--pol", "--rerun=5", "--", "--policy", "--work-limit"] {
+        let (code, text) = run(&[&paths[0], &option.into()]);
+        assert_eq!((code, text.as_str()), (2, ""), "{option}");
+    }
     std::fs::remove_dir_all(folder).unwrap();
 }
 

@@ -72,8 +72,8 @@ proptest! {
         }
         match proved {
             Ok(overlap_m) => {
-                let contact: f64 = rows.iter().filter(|row| row.2).map(|row| row.0).sum();
-                prop_assert!(contact == 0.0 || least_m >= overlap_m * contact - 1e-6);
+                let collision: f64 = rows.iter().filter(|row| row.2).map(|row| row.0).sum();
+                prop_assert!(collision == 0.0 || least_m >= overlap_m * collision - 1e-6);
             }
             Err(Rejection::Unproved { branch: 3, sum_m }) => {
                 prop_assert!(least_m >= sum_m - 1e-6, "{least_m} < {sum_m}");
@@ -300,7 +300,7 @@ fn certificates_that_prove_anything_are_refused() {
 }
 
 #[test]
-fn contact_at_the_start_is_unavoidable() {
+fn collision_at_the_start_is_unavoidable() {
     let scene = standing_leader(-0.5);
     let branch = Branch {
         last: 10,

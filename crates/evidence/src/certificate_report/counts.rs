@@ -24,7 +24,7 @@ pub enum CountsStatus {
 }
 
 impl CountsStatus {
-    pub(super) fn name(&self) -> &'static str {
+    pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Unconfirmed => "makers_word",
             Self::Confirmed { confirmation, .. } if confirmation.is_complete() => "confirmed",
@@ -33,7 +33,7 @@ impl CountsStatus {
         }
     }
 
-    pub(super) fn summary(&self) -> String {
+    pub(crate) fn summary(&self) -> String {
         match self {
             Self::Unconfirmed => UNVERIFIED_COUNTS_CAVEAT.to_owned(),
             Self::Refuted { reason } => format!("refuted by a new count: {reason}"),

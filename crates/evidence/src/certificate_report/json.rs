@@ -1,10 +1,10 @@
 //! Reports on certificates as JSON.
 
-use crumple_verify::ProvedClaim;
+use crumple_verify::{Assumption, ProvedClaim};
 use serde::Serialize;
 
 use super::counts::detection_probabilities;
-use super::{CertificateReport, CountsStatus, joint_confidence};
+use super::{CertificateReport, CountsStatus, is_built_in, joint_confidence};
 
 #[derive(Default, Serialize)]
 struct ReportLine<'a> {
@@ -17,6 +17,7 @@ struct ReportLine<'a> {
     is_built_in: Option<bool>,
     horizon_s: Option<f64>,
     scope: Vec<String>,
+    assumptions: Vec<String>,
     smallest_gap_m: Option<f64>,
     overlap_m: Option<f64>,
     gap_bound_m: Option<f64>,
@@ -33,7 +34,7 @@ struct ReportLine<'a> {
 }
 
 #[derive(Serialize)]
-struct RerunReport {
+pub(crate) struct RerunReport {
     runs: u64,
     total_runs: u64,
     blocks: u64,
@@ -108,9 +109,10 @@ impl<'a> ReportLine<'a> {
             version: certificate.version,
             sha256: certificate.digest(),
             scenario: &certificate.provenance.scenario,
-            is_built_in: report.is_built_in(),
+            is_built_in: is_built_in(certificate),
             horizon_s: scope.horizon_s.and_then(finite),
             scope: scope.to_string().lines().map(str::to_owned).collect(),
+            assumptions: describe_assumptions(&certificate.assumptions).collect(),
             confidence: report.confidence(),
             joint_confidence: joint_confidence.filter(|_| report.confidence().is_some()),
             counts: report.counts.as_ref().map(CountsStatus::name),
@@ -162,7 +164,7 @@ impl<'a> ReportLine<'a> {
 }
 
 impl RerunReport {
-    fn new(counts: &CountsStatus) -> Option<Self> {
+    pub(crate) fn new(counts: &CountsStatus) -> Option<Self> {
         let CountsStatus::Confirmed { confirmation, seed } = counts else {
             return None;
         };
@@ -175,6 +177,11 @@ impl RerunReport {
             detection_probabilities: detection_probabilities(confirmation),
         })
     }
+}
+
+/// Returns assumptions as texts.
+pub(crate) fn describe_assumptions(assumptions: &[Assumption]) -> impl Iterator<Item = String> {
+    assumptions.iter().map(Assumption::to_string)
 }
 
 /// Returns a finite number. JSON has no infinity; `None` is an overlap of unknown size.

@@ -3,7 +3,7 @@
 use crumple_core::quoting::TerminalText;
 use crumple_verify::Statement;
 
-use super::{CertificateReport, CountsStatus, joint_confidence};
+use super::{CertificateReport, CountsStatus, describe_plants, is_built_in, joint_confidence};
 
 /// Formats reports for a reader. `scenario` is the name of the requested scenario.
 #[must_use]
@@ -37,7 +37,9 @@ impl CertificateReport<'_> {
         .concat()
     }
 
-    fn verdict_line(&self, scenario: Option<&str>) -> String {
+    /// Returns the verdict for a reader, as a line. `scenario` is the name of the requested scenario.
+    #[must_use]
+    pub fn verdict_line(&self, scenario: Option<&str>) -> String {
         let path = TerminalText(&self.path);
         let accepted = match &self.accepted {
             Ok(accepted) => accepted,
@@ -94,11 +96,7 @@ impl CertificateReport<'_> {
     fn scope_lines(&self) -> String {
         let scope = self.scope().to_string();
         let mut text: String = scope.lines().map(|line| format!("  {line}\n")).collect();
-        match self.is_built_in() {
-            Some(true) => text += "  it is the built-in scenario or space of that name\n",
-            Some(false) => text += "  it is NOT the built-in scenario or space of that name\n",
-            None => {}
-        }
+        text += built_in_line(is_built_in(self.certificate));
         text
     }
 
@@ -107,7 +105,7 @@ impl CertificateReport<'_> {
         let mut text: String = assumptions
             .map(|assumption| format!("  assuming that {assumption}\n"))
             .collect();
-        if let Some(plants) = self.plants() {
+        if let Some(plants) = describe_plants(self.certificate, self.controllers) {
             text += &format!("  {plants}\n");
         }
         text
@@ -124,5 +122,14 @@ impl CertificateReport<'_> {
             self.certificate.version,
             self.certificate.digest()
         )
+    }
+}
+
+/// Returns a line about the origin of a scenario or space; empty if it is not known.
+pub(crate) fn built_in_line(is_built_in: Option<bool>) -> &'static str {
+    match is_built_in {
+        Some(true) => "  it is the built-in scenario or space of that name\n",
+        Some(false) => "  it is NOT the built-in scenario or space of that name\n",
+        None => "",
     }
 }

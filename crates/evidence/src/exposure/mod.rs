@@ -17,14 +17,20 @@ mod resampling;
 mod tests;
 mod text;
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 pub(crate) use counting::{EpisodeClusters, expected_count_interval};
 pub(crate) use resampling::estimate_on_resamples;
-pub use resampling::{MIN_RESAMPLES, Resamples, ResamplingError, count_on_resamples};
+pub use resampling::{
+    DEFAULT_RESAMPLES, DEFAULT_RUNS_PER_RESAMPLE, MIN_RESAMPLES, Resamples, ResamplingError,
+    count_on_resamples,
+};
 
 use super::RateInterval;
 use super::rare::RareEstimate;
+use crumple_core::digits::{format_rounded, format_rounded_down, format_rounded_up};
 use crumple_spaces::ScenarioSpace;
 
 /// Confidence level of all intervals.
@@ -54,6 +60,18 @@ impl IntervalEstimate {
             lower: lower / exposure,
             upper: upper / exposure,
         }
+    }
+}
+
+/// Writes the estimate and its interval, whose ends are rounded outward: `1.23 (0.456 to 3.4)`.
+impl fmt::Display for IntervalEstimate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&format!(
+            "{} ({} to {})",
+            format_rounded(self.estimate, 3),
+            format_rounded_down(self.lower, 3),
+            format_rounded_up(self.upper, 3)
+        ))
     }
 }
 

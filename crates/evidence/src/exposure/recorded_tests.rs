@@ -7,8 +7,9 @@ use rand::RngExt;
 use rand_distr::{Distribution, Gamma, LogNormal, Poisson};
 
 use super::*;
-use crate::fit::{EpisodeSample, ExtractionConfig, fit};
+use crate::fit::{EpisodeSample, ExtractionConfig, FitOptions, fit};
 use crumple_exchange::recording::{LeaderSelection, MinBrake, read};
+use crumple_sim::control::BuiltInController;
 use crumple_sim::random::{Purpose, Stream, stream};
 
 /// Time between rows of an episode, and its number of rows.
@@ -140,7 +141,13 @@ fn intervals_contain_the_true_rates_of_recordings() {
             sample.exposure.hours,
             traffic.hours
         );
-        let space = fit(&sample, "known", 19, 0).unwrap().space;
+        let options = FitOptions {
+            name: "known".to_owned(),
+            follower: BuiltInController::from_name("baseline").unwrap(),
+            samples: 19,
+            seed: 0,
+        };
+        let space = fit(&sample, &options).unwrap().space;
         let coordinate_of = |name: &str| {
             space
                 .parameters()

@@ -14,6 +14,10 @@ const DRAW_STREAM_OFFSET: u64 = 1 << 40;
 /// Minimum number of resamples for intervals. Joint intervals leave 1.25 % at each end, and the k-th of n sorted values
 /// has k / (n + 1) below it, so (n + 1) · 0.0125 ≥ 1.
 pub const MIN_RESAMPLES: u32 = 79;
+/// Number of resamples, unless a user requests another one.
+pub const DEFAULT_RESAMPLES: u32 = 200;
+/// Number of runs in each resample, unless a user requests another one.
+pub const DEFAULT_RUNS_PER_RESAMPLE: u32 = 500;
 
 /// Reason why data uncertainty is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

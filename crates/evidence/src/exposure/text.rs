@@ -2,8 +2,7 @@
 
 use std::fmt::Write;
 
-use super::{FailureRates, IntervalEstimate, RatePerExposure, WithDataUncertainty};
-use crumple_core::digits::format_rounded;
+use super::{FailureRates, RatePerExposure, WithDataUncertainty};
 use crumple_core::quoting::TerminalText;
 
 impl RatePerExposure {
@@ -89,28 +88,9 @@ impl WithDataUncertainty {
 
 impl FailureRates {
     fn write(&self, out: &mut String) -> std::fmt::Result {
-        writeln!(
-            out,
-            "    failures per episode  {}",
-            self.per_episode.format()
-        )?;
-        writeln!(out, "    failures per hour     {}", self.per_hour.format())?;
-        writeln!(
-            out,
-            "    failures per 1000 km  {}",
-            self.per_1000_km.format()
-        )
-    }
-}
-
-impl IntervalEstimate {
-    fn format(&self) -> String {
-        format!(
-            "{} ({} to {})",
-            format_rounded(self.estimate, 4),
-            format_rounded(self.lower, 3),
-            format_rounded(self.upper, 3)
-        )
+        writeln!(out, "    failures per episode  {}", self.per_episode)?;
+        writeln!(out, "    failures per hour     {}", self.per_hour)?;
+        writeln!(out, "    failures per 1000 km  {}", self.per_1000_km)
     }
 }
 

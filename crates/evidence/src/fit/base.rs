@@ -1,6 +1,7 @@
 //! Base scenario of a fitted space, and its description.
 
 use super::episodes::EpisodeSample;
+use super::fitted_space::FitOptions;
 use super::sizes::VehicleSizes;
 use super::space::median;
 use crumple_exchange::recording::{CAR_LENGTH_M, MAX_PLAUSIBLE_ACCEL_MPS2};
@@ -15,8 +16,13 @@ const ONSET_S: f64 = 1.0;
 /// Duration after the longest braking of the space, in seconds, as in an imported episode.
 const TAIL_S: f64 = 10.0;
 
-/// Returns the base scenario; the last of three or more vehicles has the baseline controller.
-pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec {
+/// Statement about a space without a vehicle behind the one under test.
+pub(super) const NO_VEHICLE_BEHIND: &str =
+    "No vehicle is behind the one under test: collisions from behind cannot happen.";
+
+/// Returns the base scenario.
+pub(super) fn base_scenario(sample: &EpisodeSample, options: &FitOptions) -> ScenarioSpec {
+    let FitOptions { name, follower, .. } = options;
     let [speed_mps, brake_mps2, final_share] =
         [0, 1, 2].map(|feature| median(sample.observed_values(feature)));
     let lead = LeadProfile::BrakeToSpeed(BrakeToSpeed {
@@ -28,16 +34,14 @@ pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec 
     let vehicles = (0..=last).map(|index| {
         let driver = match index {
             0 => Driver::Profile(lead.clone()),
-            _ if index == last && last > 1 => {
-                Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
-            }
+            _ if index == last && last > 1 => Driver::Controller(follower.clone()),
             _ => Driver::UnderTest,
         };
         base_vehicle(sample, index, speed_mps, driver)
     });
     ScenarioSpec {
         version: SCENARIO_VERSION,
-        name: name.to_owned(),
+        name: name.clone(),
         about: format!("A scenario of the space `{name}`."),
         duration_s: (ONSET_S + longest_braking_s(sample) + TAIL_S).ceil(),
         step_s: 0.01,
@@ -81,7 +85,7 @@ fn longest_braking_s(sample: &EpisodeSample) -> f64 {
     speed_mps[1] * (1.0 - final_share[0]) / brake_mps2[0]
 }
 
-pub(super) fn describe_space(sample: &EpisodeSample) -> String {
+pub(super) fn describe_space(sample: &EpisodeSample, follower: &BuiltInController) -> String {
     let EpisodeSample {
         extraction,
         observed,
@@ -105,6 +109,11 @@ pub(super) fn describe_space(sample: &EpisodeSample) -> String {
         exposure.kilometres,
         extraction.min_brake.mps2(),
     );
+    if extraction.vehicles == 2 {
+        about += &format!(" {NO_VEHICLE_BEHIND}");
+    } else if *follower != BuiltInController::Baseline(AebSettings::default()) {
+        about += &format!(" `{}` drives the last vehicle.", follower.to_arg());
+    }
     let size_sentences = sizes.iter().enumerate();
     for text in exclusions
         .sentences(extraction.vehicles)

@@ -151,9 +151,10 @@ fn feature_values(episode: &BrakingEpisode, vehicles: usize) -> Option<Vec<f64>>
 fn lowest_mps(episode: &BrakingEpisode) -> f64 {
     let braking = episode.onset_s..=episode.braking_end_s;
     let samples = episode
+        .leader_motion
         .time_s
         .iter()
-        .zip(&episode.speed_mps)
+        .zip(&episode.leader_motion.speed_mps)
         .filter(|(time_s, _)| braking.contains(*time_s));
     samples
         .map(|(_, speed_mps)| *speed_mps)

@@ -16,7 +16,8 @@ pub enum FitError {
     },
     /// The threshold leaves no braking.
     #[error(
-        "min_brake: must be below {limit} m/s², because harder decelerations do not count as braking, found {found}"
+        "the deceleration of braking must be above 0 and below {limit} m/s², because recordings with harder \
+         decelerations are not trusted, found {found}"
     )]
     MinBrake {
         /// Requested threshold, in m/s².

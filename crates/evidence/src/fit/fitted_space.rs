@@ -6,9 +6,10 @@ use super::FitError;
 use super::base::{base_scenario, describe_space};
 use super::episodes::{EpisodeFeature, EpisodeSample};
 use super::family::{DistributionFamily, FamilyFit};
-use super::goodness::{GoodnessOfFit, Tails};
+use super::goodness::{GoodnessOfFit, MIN_P_VALUE, Tails, format_p_value};
 use super::marginal::{ContinuousMarginal, FittedMarginal, PointFit};
 use super::space::{build_space, fit_marginals, median};
+use crumple_sim::control::BuiltInController;
 use crumple_spaces::{
     Base, ChoiceSpec, Dependence, DistributionSpec, ParameterSpec, ParameterValue, SPACE_VERSION,
     ScenarioSpace, SpaceSpec, UniformSpec,
@@ -68,23 +69,30 @@ pub struct FittedSpace {
     pub correlation: Vec<Vec<f64>>,
 }
 
-/// Fits a space to a sample. `samples` is the number of bootstrap samples of the goodness of fit of each feature.
+/// Settings of a fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitOptions {
+    /// Name of the space.
+    pub name: String,
+    /// Driver of the last of three or more vehicles.
+    pub follower: BuiltInController,
+    /// Number of bootstrap samples of the goodness of fit of each feature.
+    pub samples: u32,
+    /// Seed of these samples.
+    pub seed: u64,
+}
+
+/// Fits a space to a sample.
 ///
 /// # Errors
 /// [`FitError`] if no family describes a feature.
-pub fn fit(
-    sample: &EpisodeSample,
-    name: &str,
-    samples: u32,
-    seed: u64,
-) -> Result<FittedSpace, FitError> {
-    let spec = unfitted_spec(sample, name);
+pub fn fit(sample: &EpisodeSample, options: &FitOptions) -> Result<FittedSpace, FitError> {
+    let mut spec = unfitted_spec(sample, options);
     let marginals = fit_marginals(&spec, &sample.observed)?;
-    let space = build_space(&spec, &sample.observed, &marginals)?;
     let mut features = Vec::new();
     let mut sizes = Vec::new();
-    for (index, (feature, marginal)) in sample.features.iter().zip(marginals).enumerate() {
-        match marginal {
+    for (index, (feature, marginal)) in sample.features.iter().zip(&marginals).enumerate() {
+        match marginal.clone() {
             FittedMarginal::Discrete(values) => {
                 sizes.push(FittedSize {
                     name: feature.name.clone(),
@@ -93,12 +101,16 @@ pub fn fit(
                 });
             }
             FittedMarginal::Continuous(dense) => {
-                let effort = (samples, seed, index as u64);
+                let effort = (options.samples, options.seed, index as u64);
                 let values = sample.observed_values(index);
                 features.push(assess_fit(feature, values, *dense, effort)?);
             }
         }
     }
+    if let Some(rejected) = describe_rejected(&features) {
+        spec.about += &format!(" {rejected}");
+    }
+    let space = build_space(&spec, &sample.observed, &marginals)?;
     let dependence = space.spec().dependence.as_ref();
     let copula = dependence.map(|Dependence::GaussianCopula(copula)| copula);
     Ok(FittedSpace {
@@ -110,14 +122,33 @@ pub fn fit(
     })
 }
 
+/// States the parameters whose family does not fit; `None` if all fit.
+pub(super) fn describe_rejected(features: &[FittedFeature]) -> Option<String> {
+    let rejected: Vec<String> = features
+        .iter()
+        .filter(|feature| feature.goodness.is_rejected())
+        .map(|feature| {
+            let p = format_p_value(feature.goodness.smallest_p());
+            format!("{} ({}, p {p})", feature.name, feature.chosen.family.name())
+        })
+        .collect();
+    (!rejected.is_empty()).then(|| {
+        format!(
+            "The most likely family does not fit, with p below {MIN_P_VALUE}, for: {}. Rates that follow from this \
+             space depend on it.",
+            rejected.join(", ")
+        )
+    })
+}
+
 /// Returns the space with placeholders for the distributions of its parameters.
-fn unfitted_spec(sample: &EpisodeSample, name: &str) -> SpaceSpec {
+fn unfitted_spec(sample: &EpisodeSample, options: &FitOptions) -> SpaceSpec {
     let features = sample.features.iter().zip(&sample.observed.parameters);
     SpaceSpec {
         version: SPACE_VERSION,
-        name: name.to_owned(),
-        about: describe_space(sample),
-        base: Base::Inline(Box::new(base_scenario(sample, name))),
+        name: options.name.clone(),
+        about: describe_space(sample, &options.follower),
+        base: Base::Inline(Box::new(base_scenario(sample, options))),
         parameters: features
             .map(|(feature, observed)| ParameterSpec {
                 name: feature.name.clone(),

@@ -57,6 +57,23 @@ impl Tails {
     }
 }
 
+/// P-value below which a family does not fit.
+pub const MIN_P_VALUE: f64 = 0.05;
+
+impl GoodnessOfFit {
+    /// Returns the smaller p-value of both statistics.
+    #[must_use]
+    pub fn smallest_p(&self) -> f64 {
+        self.kolmogorov_smirnov_p.min(self.cramer_von_mises_p)
+    }
+
+    /// True if either statistic rejects the family at [`MIN_P_VALUE`].
+    #[must_use]
+    pub fn is_rejected(&self) -> bool {
+        self.smallest_p() < MIN_P_VALUE
+    }
+}
+
 /// Formats a p-value, with two significant digits if it is small: 1 in 200 is 0.0050.
 #[must_use]
 pub fn format_p_value(p: f64) -> String {

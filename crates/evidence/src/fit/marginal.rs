@@ -35,11 +35,13 @@ impl PointFit {
     }
 }
 
+#[derive(Clone)]
 pub(super) enum FittedMarginal {
     Continuous(Box<ContinuousMarginal>),
     Discrete(Vec<PointFit>),
 }
 
+#[derive(Clone)]
 pub(super) struct ContinuousMarginal {
     pub(super) families: FamilyRanking,
     pub(super) point: Option<PointFit>,
@@ -110,6 +112,7 @@ impl FittedMarginal {
     }
 }
 
+#[derive(Clone)]
 pub(super) struct FamilyRanking {
     pub(super) chosen: FamilyFit,
     pub(super) others: Vec<FamilyFit>,

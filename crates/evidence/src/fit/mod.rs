@@ -28,8 +28,8 @@ pub use episodes::{
 pub use error::FitError;
 pub use exclusions::ExclusionCounts;
 pub use family::{DistributionFamily, FamilyFit, FamilyFitError};
-pub use fitted_space::{FittedFeature, FittedSize, FittedSpace, fit};
-pub use goodness::{GoodnessOfFit, Tails, format_p_value};
+pub use fitted_space::{FitOptions, FittedFeature, FittedSize, FittedSpace, fit};
+pub use goodness::{GoodnessOfFit, MIN_P_VALUE, Tails, format_p_value};
 pub use marginal::PointFit;
 pub use report::FitReport;
 pub(crate) use resample::resample;

@@ -4,9 +4,11 @@ use std::fmt::{self, Write};
 
 use serde::Serialize;
 
+use super::base::NO_VEHICLE_BEHIND;
+use super::fitted_space::describe_rejected;
 use super::{
-    EpisodeSample, ExclusionCounts, FamilyFit, FittedFeature, FittedSize, FittedSpace, PointFit,
-    format_p_value,
+    EpisodeSample, ExclusionCounts, FamilyFit, FittedFeature, FittedSize, FittedSpace, MIN_P_VALUE,
+    PointFit, format_p_value,
 };
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
@@ -27,6 +29,8 @@ struct FitFields<'a> {
     clusters: u32,
     exclusions: &'a ExclusionCounts,
     features: &'a [FittedFeature],
+    /// Parameters whose family does not fit.
+    rejected: Vec<&'a str>,
     sizes: &'a [FittedSize],
     copula_parameters: &'a [String],
     correlation: &'a [Vec<f64>],
@@ -50,6 +54,7 @@ impl<'a> FitReport<'a> {
             clusters: self.cluster_count(),
             exclusions: &self.sample.exclusions,
             features: &self.fitted.features,
+            rejected: self.rejected(),
             sizes: &self.fitted.sizes,
             copula_parameters: &self.fitted.copula_parameters,
             correlation: &self.fitted.correlation,
@@ -63,6 +68,15 @@ impl<'a> FitReport<'a> {
         // Writing to a string cannot fail.
         let _ = self.write(&mut text);
         text
+    }
+
+    /// Returns the names of the parameters whose family does not fit.
+    fn rejected(&self) -> Vec<&'a str> {
+        let features = self.fitted.features.iter();
+        features
+            .filter(|feature| feature.goodness.is_rejected())
+            .map(|feature| feature.name.as_str())
+            .collect()
     }
 
     fn cluster_count(&self) -> u32 {
@@ -92,6 +106,9 @@ impl<'a> FitReport<'a> {
             self.cluster_count(),
             self.sample.extraction.vehicles
         )?;
+        if self.sample.extraction.vehicles == 2 {
+            writeln!(out, "  {NO_VEHICLE_BEHIND}")?;
+        }
         for source in &exposure.sources {
             writeln!(
                 out,
@@ -141,6 +158,13 @@ impl<'a> FitReport<'a> {
     }
 
     fn write_explanation(&self, out: &mut String) -> fmt::Result {
+        match describe_rejected(&self.fitted.features) {
+            Some(rejected) => writeln!(out, "\n{rejected}")?,
+            None => writeln!(
+                out,
+                "\nno family is rejected (every p is at least {MIN_P_VALUE})"
+            )?,
+        }
         let first = self.fitted.features.first();
         let samples = first.map_or(0, |feature| feature.goodness.samples);
         writeln!(
@@ -201,16 +225,20 @@ impl FittedFeature {
         Ok(())
     }
 
-    /// Returns the unit; empty for a number without one.
-    fn printed_unit(&self) -> &str {
-        if self.unit == "1" { "" } else { self.unit }
+    /// Returns the unit with a space before it; empty for a number without a unit.
+    fn printed_unit(&self) -> String {
+        if self.unit == "1" {
+            String::new()
+        } else {
+            format!(" {}", self.unit)
+        }
     }
 
     fn write_point_mass(&self, point: &PointFit, out: &mut String) -> fmt::Result {
         let [low, high] = point.interval_95;
         writeln!(
             out,
-            "  {} {} in {} of {}: probability {:.4} ({low:.4} to {high:.4}); the fit describes the other episodes",
+            "  {}{} in {} of {}: probability {:.4} ({low:.4} to {high:.4}); the fit describes the other episodes",
             point.at,
             self.printed_unit(),
             point.count,
@@ -225,8 +253,8 @@ impl FittedFeature {
         let point_count = self.point_mass.map_or(0, |point| point.count);
         writeln!(
             out,
-            "  tails: {} below the smallest of {}, {:.3} {unit} ({} in the lowest tenth); {} beyond the largest, {:.3} \
-             {unit} ({} in the highest)",
+            "  tails: {} below the smallest of {}, {:.3}{unit} ({} in the lowest tenth); {} beyond the largest, \
+             {:.3}{unit} ({} in the highest)",
             format_rounded(tails.below_smallest, 3),
             self.sorted.len() as u64 - point_count,
             tails.smallest,

@@ -10,6 +10,7 @@ use super::marginal::FamilyRanking;
 use super::*;
 use crumple_exchange::recording::map::RecordingMap;
 use crumple_exchange::recording::{LeaderSelection, MinBrake, Recording, read};
+use crumple_sim::control::BuiltInController;
 use crumple_sim::random::{Purpose, stream};
 use crumple_sim::scenario::{Driver, LeadProfile, VehicleClass};
 use crumple_spaces::{
@@ -85,6 +86,15 @@ fn draw_values(distribution: &DistributionSpec, count: usize, seed: u64) -> Vec<
     (0..count)
         .map(|_| ready.quantile(random.random()))
         .collect()
+}
+
+fn options(name: &str) -> FitOptions {
+    FitOptions {
+        name: name.to_owned(),
+        follower: BuiltInController::from_name("baseline").unwrap(),
+        samples: 19,
+        seed: 0,
+    }
 }
 
 /// With 200 trials, an interval at 95 % misses at least 18 times with a probability below 2 %; the seeds are fixed.
@@ -507,7 +517,7 @@ fn each_recorded_episode_is_in_the_space_or_counted_as_excluded() {
         sizes,
         copula_parameters: depending,
         ..
-    } = fit(&sample, "mine", 19, 0).unwrap();
+    } = fit(&sample, &options("mine")).unwrap();
     let point = numbers[2].point_mass.expect("some stand");
     assert_eq!(
         (

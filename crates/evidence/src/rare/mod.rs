@@ -23,6 +23,11 @@
 //! accept them. If the likeliest cause of failures is hard to reach, few repetitions find it: estimate and spread are
 //! then far too low, more often than the interval states.
 //!
+//! # Failures
+//!
+//! Each repetition keeps a random sample of its failures. Together they are a weighted sample of the failure
+//! distribution, about [`MAX_KEPT_FAILURES`] scenarios: see [`WeightedFailures`].
+//!
 //! # Noise
 //!
 //! Noise of accelerations, measurements and initial estimates is normal, and moves by the same autoregressive steps: it
@@ -30,6 +35,7 @@
 //! therefore reached step by step. Lost measurements and random controllers depend on the first seed, which only a
 //! quarter of the moves replace.
 
+mod failures;
 mod plan;
 mod splitting;
 mod study;
@@ -41,6 +47,9 @@ mod text;
 
 use serde::{Deserialize, Serialize};
 
+pub use failures::{
+    FAILURE_FOLDER, FAILURE_LIST_FILE, MAX_KEPT_FAILURES, WeightedFailure, WeightedFailures,
+};
 pub use plan::{RareError, RarePlan, RareReport};
 pub use splitting::{MAX_LEVELS, PILOT_FACTORS, Repetition, SplittingLevels};
 pub use study::{ESTIMATE_FILE, RareProgress, RareStage, RareState};

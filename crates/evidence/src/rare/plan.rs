@@ -110,7 +110,7 @@ impl LimitState for RarePlan {
         let specification = &self.specification;
         let options = RunOptions::new(self.controller.source.clone())
             .with_estimator(self.estimator)
-            .with_after_contact(specification.after_contact());
+            .with_after_collision(specification.after_collision());
         let runs = scenarios
             .iter()
             .map(|scenario| Run::new(scenario, options.clone()))
@@ -129,7 +129,7 @@ impl LimitState for RarePlan {
 }
 
 impl RarePlan {
-    fn scenario(&self, state: &RandomInputs) -> Result<Scenario, InvalidField> {
+    pub(super) fn scenario(&self, state: &RandomInputs) -> Result<Scenario, InvalidField> {
         let uniform: Vec<f64> = state.normal.iter().map(|&x| normal_cdf(x)).collect();
         let seed = state.noise.first().map_or(0, |share| share.seed);
         let scenario = self
@@ -196,7 +196,7 @@ impl RarePlan {
 
     pub(super) fn failure_description(&self) -> String {
         match &self.specification {
-            Specification::NoContact => self.controller.failure_description().to_owned(),
+            Specification::NoCollision => self.controller.failure_description().to_owned(),
             other => format!("`{other}` {VIOLATED_SUFFIX}"),
         }
     }
@@ -208,13 +208,13 @@ impl RareReport {
     /// True if collisions are the failure, so that margins are gaps. Margins of other specifications have no known
     /// unit.
     #[must_use]
-    pub fn is_contact_failure(&self) -> bool {
+    pub fn is_collision_failure(&self) -> bool {
         !self.failure.ends_with(VIOLATED_SUFFIX)
     }
 
     /// Copies the margins to the gaps if collisions are the failure.
     pub(super) fn with_gaps(mut self) -> Self {
-        let is_gap = self.is_contact_failure();
+        let is_gap = self.is_collision_failure();
         self.estimate
             .levels
             .iter_mut()

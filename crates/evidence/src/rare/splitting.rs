@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
+use super::failures::{FailedRun, MAX_KEPT_FAILURES, choose};
 use super::{Level, RareEstimate, SplittingConfig};
 use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
@@ -22,6 +23,8 @@ pub const MAX_LEVELS: usize = 18;
 pub const PILOT_FACTORS: [usize; 3] = [1, 2, 4];
 /// Offset of the random streams of later pilots; those of repetitions start at 1.
 const LATER_PILOT_STREAM_OFFSET: u64 = 1 << 41;
+/// Offset of the random streams that choose the failures to keep, so that the other streams do not depend on them.
+const FAILURE_STREAM_OFFSET: u64 = 1 << 42;
 const LEVEL_SHARE: f64 = 0.2;
 const MOVES_PER_LEVEL: usize = 4;
 /// Smallest weight of a noise share. Smaller ones, dropped to save time, together change the noise by less than a
@@ -99,7 +102,14 @@ impl SplittingStage {
     }
 }
 
-type Particle = (RandomInputs, f64);
+/// Run with its margin.
+pub(super) type Particle = (RandomInputs, f64);
+
+/// Choice of the failures that a repetition keeps.
+struct FailureChoice {
+    most: usize,
+    random: Stream,
+}
 
 struct ParticlePopulation<'a, P: LimitState> {
     problem: &'a P,
@@ -118,6 +128,9 @@ pub struct Repetition {
     #[serde(alias = "seen")]
     levels: Vec<LevelStats>,
     evaluations: u64,
+    /// Random sample of the failures at the last level.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    failed: Vec<FailedRun>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -293,8 +306,13 @@ impl SplittingLevels {
             .into_par_iter()
             .map(|index| {
                 let random = stream(self.seed, Purpose::RareEvents, 1 + index);
+                let choice_stream = FAILURE_STREAM_OFFSET + index;
+                let choice = FailureChoice {
+                    most: MAX_KEPT_FAILURES.div_ceil(self.effort.repetition_count),
+                    random: stream(self.seed, Purpose::RareEvents, choice_stream),
+                };
                 ParticlePopulation::new(problem, self.effort.samples, random, counter)
-                    .descend(&self.stages)
+                    .descend(&self.stages, choice)
             })
             .collect()
     }
@@ -323,7 +341,7 @@ impl SplittingLevels {
         self.effort == effort.clamped() && self.seed == seed
     }
 
-    pub(super) fn is_consistent_with(&self, repetitions: &[Repetition]) -> bool {
+    pub(super) fn is_consistent_with(&self, repetitions: &[Repetition], dimension: usize) -> bool {
         let samples = self.effort.samples as u64;
         let max_moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
         let max_evaluations = max_moves
@@ -332,6 +350,11 @@ impl SplittingLevels {
         repetitions.iter().all(|repetition| {
             repetition.levels.len() <= self.stages.len()
                 && repetition.initial_failures <= samples
+                && repetition.failed.len() <= MAX_KEPT_FAILURES
+                && repetition
+                    .failed
+                    .iter()
+                    .all(|run| run.is_possible(dimension))
                 && repetition.evaluations <= max_evaluations
                 && repetition
                     .levels
@@ -365,6 +388,17 @@ impl SplittingLevels {
             ..RareEstimate::default()
         };
         estimate.with_repetitions(probabilities_down_to(&repetitions, self.stages.len()))
+    }
+}
+
+impl Repetition {
+    /// Returns the probability of a failure that this repetition estimates, if its population reached one.
+    pub(super) fn probability(&self) -> f64 {
+        self.levels.iter().map(|stats| stats.share).product()
+    }
+
+    pub(super) fn failed_runs(&self) -> &[FailedRun] {
+        &self.failed
     }
 }
 
@@ -561,14 +595,22 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
 
     /// Moves a population down the levels. The repetition has the statistics of each level that the population
     /// reached.
-    fn descend(mut self, stages: &[SplittingStage]) -> Result<Repetition, P::Error> {
+    fn descend(
+        mut self,
+        stages: &[SplittingStage],
+        mut choice: FailureChoice,
+    ) -> Result<Repetition, P::Error> {
         let mut population = self.sample_initial()?;
         let initial_failures = count_failures(&population);
+        let mut failed = Vec::new();
         let mut levels = Vec::with_capacity(stages.len());
         for stage in stages {
             let survivors = stage.survivors(population);
             let share = survivors.len() as f64 / self.samples as f64;
             let mut moves = MoveCounts::default();
+            if stage.is_last {
+                failed = choose(&survivors, choice.most, &mut choice.random);
+            }
             population = self.resample(survivors);
             if !stage.is_last && !population.is_empty() {
                 for _ in 0..MOVES_PER_LEVEL {
@@ -588,6 +630,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
             initial_failures,
             levels,
             evaluations: self.evaluations,
+            failed,
         })
     }
 

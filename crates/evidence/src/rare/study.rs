@@ -1,4 +1,5 @@
-//! An estimate as a study: `rare-estimate.json` and the manifest `work.json`; until it is finished, `progress.json`.
+//! An estimate as a study: `rare-estimate.json`, `rare-failures.json`, the folder `failures`, and the manifest
+//! `work.json`; until it is finished, `progress.json`.
 //!
 //! The progress holds the pilot, completed repetitions, and estimates in resamples. All of them depend on the seed
 //! only, so a resumed estimate has the result of an uninterrupted one.
@@ -8,7 +9,10 @@ use std::ops::ControlFlow;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::{RareError, RareEstimate, RarePlan, RareReport, Repetition, SplittingLevels};
+use super::{
+    FAILURE_FOLDER, FAILURE_LIST_FILE, RareError, RareEstimate, RarePlan, RareReport, Repetition,
+    SplittingLevels,
+};
 use crate::exposure::RatePerExposure;
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
@@ -91,7 +95,7 @@ impl RareState {
 impl Study for RarePlan {
     const KIND: &'static str = "rare-failure estimate";
     const CONFIGURATION_FILE: &'static str = ESTIMATE_FILE;
-    const OUTPUTS: &'static [&'static str] = &[ESTIMATE_FILE];
+    const OUTPUTS: &'static [&'static str] = &[ESTIMATE_FILE, FAILURE_LIST_FILE, FAILURE_FOLDER];
 
     type State = RareState;
     type Progress = RareProgress;
@@ -165,7 +169,7 @@ impl Study for RarePlan {
         Ok(StudyStep::Done)
     }
 
-    /// Writes the estimate without rates per hour, which depend on the number of resamples.
+    /// Writes the failures, and the estimate without rates per hour, which depend on the number of resamples.
     fn finish(
         &self,
         state: RareState,
@@ -174,6 +178,10 @@ impl Study for RarePlan {
         _: &dyn Observer<RareProgress>,
     ) -> Result<RareReport, RareError> {
         let report = self.report(self.summary(&state.saved))?;
+        let repetitions = state.saved.repetitions.unwrap_or_default();
+        for (name, text) in self.failure_files(&repetitions)? {
+            results.write(&name, text);
+        }
         results
             .write_json(ESTIMATE_FILE, &report)?
             .remove(PROGRESS_FILE);
@@ -290,7 +298,9 @@ impl SavedProgress {
         is_pilot_of_plan
             && self.repetitions.as_ref().is_none_or(|repetitions| {
                 repetitions.len() as u64 <= plan.effort.repetition_count as u64
-                    && pilot.is_some_and(|pilot| pilot.is_consistent_with(repetitions))
+                    && pilot.is_some_and(|pilot| {
+                        pilot.is_consistent_with(repetitions, plan.space.dimension())
+                    })
             })
     }
 }

@@ -7,7 +7,10 @@ use proptest::prelude::*;
 use super::study::PROGRESS_FILE;
 use super::*;
 use crate::fixtures::rare_plan;
-use crumple_core::observer::Listener;
+use crumple_core::observer::{Listener, Quiet};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::scenario::NoDriverFiles;
+use crumple_sim::scenario::file::load;
 use crumple_store::study::{Study, StudyFolder};
 
 fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
@@ -113,7 +116,7 @@ fn only_the_same_estimate_resumes_an_unfinished_folder() {
         assert!(
             error(&other, true)
                 .unwrap()
-                .ends_with("the rare-failure estimate there has a different configuration")
+                .contains("the rare-failure estimate there has a different configuration: line ")
         );
     }
     let text = fs::read_to_string(root.path().join(PROGRESS_FILE)).unwrap();
@@ -126,4 +129,35 @@ fn only_the_same_estimate_resumes_an_unfinished_folder() {
     );
     fs::write(&path, text).unwrap();
     assert_eq!(error(&plan, true), None);
+}
+
+#[test]
+fn failures_are_kept_as_scenarios_whose_weights_add_up_to_the_estimate() {
+    let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
+    let report = plan.run(root.path(), false, &Quiet).unwrap();
+    let folder = root.path().join(FAILURE_FOLDER);
+    let text = fs::read_to_string(root.path().join(FAILURE_LIST_FILE)).unwrap();
+    let list: WeightedFailures = serde_json::from_str(&text).unwrap();
+    let probability = report.estimate.probability.unwrap();
+    assert!(
+        (list.probability / probability - 1.0).abs() < 1e-12,
+        "{}",
+        list.probability
+    );
+    assert!(!list.failures.is_empty());
+    for failure in &list.failures {
+        let scenario = load(&folder.join(&failure.file), &NoDriverFiles).unwrap();
+        let options =
+            RunOptions::new(plan.controller.source.clone()).with_estimator(plan.estimator);
+        let run = Run::new(&scenario, options).unwrap();
+        let result = simulate(&run, RecordingLevel::Summary);
+        assert_eq!(
+            !result.outcome.is_safe(),
+            failure.replays,
+            "{}",
+            failure.file
+        );
+        assert!(failure.weight > 0.0 && failure.margin < 0.0);
+    }
+    assert!(list.failures.iter().any(|failure| failure.replays));
 }

@@ -482,3 +482,36 @@ fn levels_are_read_with_either_name_of_their_margin() {
     );
     assert!(read("").unwrap_err().to_string().contains("no `margin`"));
 }
+
+/// Compares the weighted mean of the kept failures with the closed form: the sum z of normal numbers has mean
+/// φ(5)/Φ(-5) above 5.
+#[test]
+fn kept_failures_are_a_sample_of_the_failure_distribution() {
+    let problem = ClosedFormLimitState {
+        dimension: 4,
+        margin: linear,
+    };
+    let expected = (-12.5_f64).exp() / (2.0 * std::f64::consts::PI).sqrt() / upper_tail(5.0);
+    let mut means = Vec::new();
+    for seed in 0..8 {
+        let effort = SplittingConfig::default();
+        let pilot = SplittingLevels::run_pilots(&problem, effort, seed, &counter()).unwrap();
+        let repetitions = pilot
+            .run_repetitions(&problem, 0..u64::MAX, &counter())
+            .unwrap();
+        let weighted = failures::weigh(&repetitions);
+        assert!((100..=MAX_KEPT_FAILURES).contains(&weighted.len()));
+        let total: f64 = weighted.iter().map(|(_, weight)| weight).sum();
+        let estimate = pilot.summary(repetitions.clone());
+        assert!((total / estimate.probability.unwrap() - 1.0).abs() < 1e-12);
+        let sums = weighted
+            .iter()
+            .map(|(run, weight)| weight * (5.0 - run.margin()));
+        means.push(sums.sum::<f64>() / total);
+    }
+    let mean = means.iter().sum::<f64>() / means.len() as f64;
+    assert!(
+        (mean - expected).abs() < 0.03,
+        "{mean} {expected} {means:?}"
+    );
+}

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{Level, MAX_LEVELS, PILOT_FACTORS, RareEstimate, RareReport};
-use crumple_core::digits::{format_rounded, format_rounded_up};
+use crumple_core::digits::{format_rounded, format_rounded_down, format_rounded_up};
 use crumple_core::quoting::TerminalText;
 
 impl RareReport {
@@ -51,7 +51,7 @@ impl RareReport {
 
     /// Writes a table with a row for each level.
     fn write_levels(&self, out: &mut String) -> std::fmt::Result {
-        let margin = if self.is_contact_failure() {
+        let margin = if self.is_collision_failure() {
             "smallest gap"
         } else {
             "robustness"
@@ -83,7 +83,7 @@ impl RareReport {
     }
 
     fn format_margin(&self, level: &Level) -> String {
-        match (level.step, self.is_contact_failure()) {
+        match (level.step, self.is_collision_failure()) {
             (None, true) => "collision".to_owned(),
             (None, false) => "failure".to_owned(),
             (Some(_), true) => format!("<= {:.3} m", level.margin),
@@ -117,7 +117,9 @@ impl RareEstimate {
                     "  probability of a failure {}, coefficient of variation {variation:.2}",
                     format_rounded(probability, 4)
                 )?;
-                let [low, high] = interval.map(|end| format_rounded(end, 3));
+                let [low, high] = interval;
+                let low = format_rounded_down(low, 3);
+                let high = format_rounded_up(high, 3);
                 let source = self.interval_source();
                 writeln!(out, "  95 % interval {low} to {high}, {source}")
             }
@@ -149,7 +151,7 @@ impl RareEstimate {
             "  {} of the {} initial random scenarios fail: between {} and {} at 95 %",
             self.independent_failures,
             self.independent_runs,
-            format_rounded(low, 3),
+            format_rounded_down(low, 3),
             format_rounded_up(high, 4)
         )
     }

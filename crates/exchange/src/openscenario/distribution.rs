@@ -8,7 +8,7 @@ use super::error::ScenarioImportError;
 use super::limits::ensure_at_most;
 use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
-use super::xml::{Node, SourceElement};
+use super::xml::{ElementLocation, Node, SourceElement};
 use crumple_core::digits::{format_compact, format_number};
 use crumple_sim::scenario::file::MAX_FILES;
 use crumple_spaces::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
@@ -36,8 +36,15 @@ pub struct ParameterDistributionFile {
     pub(super) root: Rc<SourceElement>,
     /// Values that vary together, one list for each distribution.
     axes: Vec<Vec<Variation>>,
-    /// Parameters with random values.
-    pub(super) random: Vec<(String, DistributionSpec)>,
+    pub(super) random: Vec<RandomParameter>,
+}
+
+/// A parameter with random values.
+#[derive(Debug)]
+pub(super) struct RandomParameter {
+    pub(super) name: String,
+    pub(super) distribution: DistributionSpec,
+    location: ElementLocation,
 }
 
 impl ParameterDistributionFile {
@@ -87,13 +94,9 @@ impl ParameterDistributionFile {
                 &["numberOfTestRuns", "randomSeed"],
             )?;
             for distribution in list.children() {
-                distribution.only(
-                    &["NormalDistribution", "UniformDistribution", "Histogram"],
-                    &["parameterName"],
-                )?;
-                let name = distribution.text("parameterName")?;
-                names.add(distribution, BTreeSet::from([name.clone()]))?;
-                random.push((name, read_random(distribution.single()?)?));
+                let parameter = RandomParameter::read(distribution)?;
+                names.add(distribution, BTreeSet::from([parameter.name.clone()]))?;
+                random.push(parameter);
             }
         }
         if axes.is_empty() == random.is_empty() {
@@ -256,10 +259,16 @@ fn read_steps(node: Node<'_>) -> Result<Vec<String>> {
     let [low, high] = read_range(node.child("Range")?)?;
     let width = node.number("stepWidth")?;
     let steps = ((high - low) / width + 1e-9).floor();
-    if !(0.0..=MAX_VARIATIONS as f64).contains(&steps) {
+    if steps >= MAX_VARIATIONS as f64 && width > 0.0 {
+        let count = format_number(steps + 1.0);
+        return Err(node.refuse(format!(
+            "has {count} values, and {MAX_VARIATIONS} are allowed"
+        )));
+    }
+    if steps.is_nan() || steps < 0.0 || width <= 0.0 {
         let [width, low, high] = [width, low, high].map(format_number);
         return Err(node.refuse(format!(
-            "stepWidth = {width} does not divide the range from {low} to {high}"
+            "stepWidth = {width} does not lead from {low} to {high}"
         )));
     }
     // Fifteen digits hide the rounding of the product.
@@ -280,6 +289,27 @@ fn read_range(node: Node<'_>) -> Result<[f64; 2]> {
             format_number(low),
             format_number(high)
         )))
+    }
+}
+
+impl RandomParameter {
+    fn read(node: Node<'_>) -> Result<Self> {
+        node.only(
+            &["NormalDistribution", "UniformDistribution", "Histogram"],
+            &["parameterName"],
+        )?;
+        let inner = node.single()?;
+        Ok(Self {
+            name: node.text("parameterName")?,
+            distribution: read_random(inner)?,
+            location: inner.location(),
+        })
+    }
+
+    /// Returns an error about the parameter; `problem` is a clause without subject.
+    pub(super) fn refuse(&self, problem: &str) -> ScenarioImportError {
+        let reason = format!("the parameter `{}` {problem}", self.name);
+        self.location.refuse(&reason)
     }
 }
 
@@ -313,7 +343,8 @@ fn read_normal(node: Node<'_>) -> Result<NormalSpec> {
 
 /// Reads a histogram. Gaps between its bins become bins of weight 0.
 fn read_histogram(node: Node<'_>) -> Result<HistogramSpec> {
-    node.only(&["HistogramBin"], &[])?;
+    // `Bin` is the element of the standard; earlier releases of crumple read only `HistogramBin`.
+    node.only(&["Bin", "HistogramBin"], &[])?;
     ensure_at_most(node, node.children().count(), MAX_BINS, "bins")?;
     let mut edges: Vec<f64> = Vec::new();
     let mut weights: Vec<f64> = Vec::new();
@@ -331,6 +362,9 @@ fn read_histogram(node: Node<'_>) -> Result<HistogramSpec> {
         }
         edges.push(high);
         weights.push(bin.non_negative("weight")?);
+    }
+    if weights.iter().all(|weight| *weight == 0.0) {
+        return Err(node.refuse("has no bin with a weight above 0"));
     }
     Ok(HistogramSpec { edges, weights })
 }

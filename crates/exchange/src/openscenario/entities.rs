@@ -14,6 +14,11 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 /// outside its range.
 const MAX_USUAL_CENTER_M: f64 = 1000.0;
 
+/// Largest limit of an acceleration in a scenario, in m/s².
+pub(super) const MAX_LIMIT_MPS2: f64 = 30.0;
+/// Largest acceleration by which a tool states that there is no limit, in m/s².
+const UNLIMITED_MPS2: f64 = 1000.0;
+
 /// An entity of the file.
 #[derive(Debug)]
 pub(super) struct Entity<'a> {
@@ -24,6 +29,8 @@ pub(super) struct Entity<'a> {
     pub(super) width_m: f64,
     /// Distance of the front bumper from the reference point, in metres.
     pub(super) front_m: f64,
+    /// True for a body that stands and may have any direction.
+    pub(super) is_obstacle: bool,
     pub(super) mass_kg: Option<f64>,
     pub(super) max_speed_mps: f64,
     pub(super) max_brake_mps2: Option<f64>,
@@ -49,6 +56,19 @@ struct BodyLocations {
 }
 
 impl Entity<'_> {
+    /// Turns the body by an angle: its length and width become those of the box around it along the lane.
+    pub(super) fn turn(&mut self, angle_rad: f64) {
+        if angle_rad == 0.0 {
+            return;
+        }
+        let [cosine, sine] = [libm::cos(angle_rad), libm::sin(angle_rad)];
+        let middle_m = (self.front_m - self.length_m / 2.0) * cosine;
+        let [length_m, width_m] = [self.length_m, self.width_m];
+        self.length_m = length_m * cosine.abs() + width_m * sine.abs();
+        self.width_m = length_m * sine.abs() + width_m * cosine.abs();
+        self.front_m = middle_m + self.length_m / 2.0;
+    }
+
     /// Reads a controller, or that of the catalogue entry to which the element refers, and assigns it.
     fn assign_controller(&mut self, node: Node<'_>, files: &SourceFiles<'_>) -> Result<()> {
         let mut controller = match node.name() {
@@ -70,6 +90,19 @@ impl Entity<'_> {
         Ok(())
     }
 
+    /// Reads an acceleration. A large one, by which tools state that there is no limit, becomes that of a scenario.
+    fn read_limit(&mut self, limits: Node<'_>, name: &str) -> Result<f64> {
+        let limit_mps2 = limits.non_negative(name)?;
+        if !(MAX_LIMIT_MPS2..=UNLIMITED_MPS2).contains(&limit_mps2) || limit_mps2 == MAX_LIMIT_MPS2
+        {
+            return Ok(limit_mps2);
+        }
+        self.notes.push(limits.note(format!(
+            "`{name}` is reduced to {MAX_LIMIT_MPS2} m/s², the largest limit of a scenario"
+        )));
+        Ok(MAX_LIMIT_MPS2)
+    }
+
     /// Reads the limits of a vehicle.
     fn read_performance(&mut self, limits: Node<'_>) -> Result<()> {
         limits.only(
@@ -83,8 +116,8 @@ impl Entity<'_> {
             ],
         )?;
         self.max_speed_mps = limits.non_negative("maxSpeed")?;
-        self.max_brake_mps2 = Some(limits.non_negative("maxDeceleration")?);
-        self.max_accel_mps2 = Some(limits.non_negative("maxAcceleration")?);
+        self.max_brake_mps2 = Some(self.read_limit(limits, "maxDeceleration")?);
+        self.max_accel_mps2 = Some(self.read_limit(limits, "maxAcceleration")?);
         self.jerk_limit_mps3 = limits.optional_number("maxAccelerationRate")?;
         if limits.optional_number("maxDecelerationRate")? == self.jerk_limit_mps3 {
             Ok(())
@@ -113,6 +146,18 @@ impl Entity<'_> {
         Ok(())
     }
 
+    fn note_trailers(&mut self, body: Node<'_>) -> Result<()> {
+        for trailer in body.named("Trailer").flat_map(Node::children) {
+            let is_empty_reference = trailer.name() == "TrailerRef"
+                && trailer.optional_text("entityRef")? == Some(String::new());
+            if !is_empty_reference {
+                let note = trailer.note("has no influence: vehicles have no trailers");
+                self.notes.push(note);
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the element that states a field of the vehicle.
     pub(super) fn field_location(&self, field: &str) -> ElementLocation {
         let locations = &self.locations;
@@ -129,6 +174,13 @@ impl Entity<'_> {
             }
             _ => self.node.location(),
         }
+    }
+}
+
+/// Turns bodies by angles.
+pub(super) fn turn(entities: &mut [Entity<'_>], angles_rad: &[f64]) {
+    for (entity, angle_rad) in entities.iter_mut().zip(angles_rad) {
+        entity.turn(*angle_rad);
     }
 }
 
@@ -159,10 +211,10 @@ pub(super) fn read_entities<'a>(
     node: Node<'a>,
     files: &SourceFiles<'_>,
 ) -> Result<Vec<Entity<'a>>> {
-    node.only(&["ScenarioObject"], &[])?;
+    node.only(&["ScenarioObject", "EntitySelection"], &[])?;
     ensure_at_most(node, node.children().count(), MAX_ENTITIES, "entities")?;
     let mut entities: Vec<Entity<'a>> = Vec::new();
-    for object in node.children() {
+    for object in node.named("ScenarioObject") {
         let entity = read_object(object, files)?;
         if entities.iter().any(|other| other.name == entity.name) {
             return Err(object.refuse(format!("there is another entity `{}`", entity.name)));
@@ -197,19 +249,16 @@ fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'
     } else {
         read_body(object, body)?
     };
-    if let Some(holder) = object.optional("ObjectController") {
+    // OpenSCENARIO 1.3 allows several controllers, and a holder without one.
+    let mut controllers = Vec::new();
+    for holder in object.named("ObjectController") {
         holder.only(&["Controller", "CatalogReference"], &["name"])?;
-        // OpenSCENARIO 1.3 allows several controllers, and a holder without one.
-        let mut controllers = holder.children();
-        if let Some(controller) = controllers.next() {
-            entity.assign_controller(controller, files)?;
-        }
-        let second = controllers
-            .next()
-            .or_else(|| object.named("ObjectController").nth(1));
-        if let Some(second) = second {
-            return Err(second.refuse("an entity can have only one controller"));
-        }
+        controllers.extend(holder.children());
+    }
+    match controllers.as_slice() {
+        [] => {}
+        [controller] => entity.assign_controller(*controller, files)?,
+        [_, second, ..] => return Err(second.refuse("an entity can have only one controller")),
     }
     Ok(entity)
 }
@@ -274,17 +323,14 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         return Err(center.refuse("the bounding box must be centred on the lane"));
     }
     let length_m = dimensions.non_negative("length")?;
-    let class = VehicleClass::ALL
-        .iter()
-        .copied()
-        .find(|class| body.raw("name") == Some(class.name()));
     let mut entity = Entity {
         node: object,
         name: object.text("name")?,
-        class: class.unwrap_or(VehicleClass::from_length(length_m)),
+        class: vehicle_class(body, length_m),
         length_m,
         width_m: dimensions.non_negative("width")?,
         front_m: center.number("x")? + length_m / 2.0,
+        is_obstacle: body.name() == "MiscObject",
         mass_kg: body.optional_number("mass")?,
         max_speed_mps: f64::INFINITY,
         max_brake_mps2: None,
@@ -305,7 +351,15 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         entity.read_performance(body.child("Performance")?)?;
     }
     entity.read_body_properties(body)?;
+    entity.note_trailers(body)?;
     Ok(entity)
+}
+
+/// Returns the class that crumple's export states as the name of a body; otherwise that of the length.
+fn vehicle_class(body: Node<'_>, length_m: f64) -> VehicleClass {
+    let mut classes = VehicleClass::ALL.iter().copied();
+    let stated = classes.find(|class| body.raw("name") == Some(class.name()));
+    stated.unwrap_or(VehicleClass::from_length(length_m))
 }
 
 /// Refuses a body of an unknown kind or with unknown content.
@@ -321,6 +375,9 @@ fn check_body_content(body: Node<'_>) -> Result<()> {
             "Axles",
             "Properties",
             "Role",
+            "Trailer",
+            "TrailerCoupler",
+            "TrailerHitch",
         ],
         &[
             "name",
@@ -353,6 +410,31 @@ pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<P
 
 /// Name of the controller of vehicles under test in crumple's export.
 pub const UNDER_TEST_CONTROLLER: &str = "under-test";
+
+/// Removes entities that have no initial position and a controller that crumple does not know: other tools replace them
+/// by traffic. Returns a note for each.
+pub(super) fn remove_placeholders(
+    entities: &mut Vec<Entity<'_>>,
+    storyboard: Node<'_>,
+) -> Vec<String> {
+    let groups = storyboard.optional("Init").into_iter();
+    let groups = groups.filter_map(|init| init.optional("Actions"));
+    let placed: Vec<String> = groups
+        .flat_map(|actions| actions.named("Private"))
+        .filter_map(|private| private.text("entityRef").ok())
+        .collect();
+    let is_placeholder = |entity: &Entity<'_>| {
+        let controller = entity.controller.as_ref();
+        controller.is_some_and(|controller| controller.stated_driver().is_none())
+            && !placed.contains(&entity.name)
+    };
+    let notes = entities.iter().filter(|entity| is_placeholder(entity));
+    let notes = notes
+        .map(|entity| entity.node.note("has no position: the scenario omits it"))
+        .collect();
+    entities.retain(|entity| !is_placeholder(entity));
+    notes
+}
 
 /// Returns the drivers of the entities with a controller; `None` for scripted ones.
 pub(super) fn assign_drivers(

@@ -40,6 +40,18 @@ pub enum ScenarioImportError {
         /// Reason in words.
         reason: String,
     },
+    /// An import that needs more work than all variations may have together.
+    #[error("{}:{line}: {element}: {reason}", path.display())]
+    TooMuchWork {
+        /// Path of the file.
+        path: PathBuf,
+        /// Line of the element, from 1.
+        line: u32,
+        /// Name of the element.
+        element: String,
+        /// Reason in words.
+        reason: String,
+    },
     /// Values of parameters that violate a constraint of the file.
     #[error("{}:{line}: ParameterDeclaration: `{parameter}` = `{value}` violates its constraints", path.display())]
     Constraint {

@@ -278,7 +278,7 @@ fn excess_content_is_refused_before_work_begins() {
         ),
         (
             file(same_lane(), &profile(150_000), TIME).replace(reference, &reference.repeat(3)),
-            "Event: the scenario has more than 400000 samples",
+            "Action: the scenario has more than 400000 samples",
         ),
         (
             changed(

@@ -1,15 +1,16 @@
 //! Initial actions: positions, speeds and the environment.
 
+use super::constructs::{ActionDomains, KnownAction, find_action};
 use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::limits::{
     MAX_ENVIRONMENTS, MAX_INITIAL_ACTIONS, WORK_PER_INITIAL_SPEED, WorkBudget, ensure_at_most,
 };
-use super::path_actions::lane_number;
+use super::place::{PlacePurpose, resolve_place};
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
-use super::speed_plan::TransitionShape;
-use super::storyboard::{SpeedAction, StoryAction, entity_index, read_action, read_speed};
+use super::storyboard::{SpeedAction, StoryAction, entity_index, read_speed};
+use super::vocabulary::{last_element, path};
 use super::xml::Node;
 use crumple_core::digits::format_number;
 
@@ -22,61 +23,109 @@ const FRICTION_RANGE: std::ops::RangeInclusive<f64> = 0.01..=1.0;
 pub(super) struct InitialState<'a> {
     pub(super) places: Vec<LanePlace>,
     pub(super) speeds_mps: Vec<Option<f64>>,
-    /// Transitions of the speed that begin with the scenario.
-    pub(super) transitions: Vec<(usize, SpeedAction<'a>)>,
+    /// Actions that go on after the start, with their entities.
+    pub(super) actions: Vec<(usize, InitialAction<'a>)>,
     /// Entities whose controller is active from the start.
     pub(super) is_active: Vec<bool>,
+    /// Angles by which standing bodies are turned from the direction of the road, in radians.
+    pub(super) turned_rad: Vec<f64>,
     pub(super) friction: f64,
     pub(super) notes: Vec<String>,
 }
 
-impl InitialState<'_> {
+/// An action of `Init` that goes on after the start.
+pub(super) enum InitialAction<'a> {
+    /// Follows the speed of an entity for ever.
+    Continuous(SpeedAction<'a>),
+    Route(Node<'a>),
+    /// A transition of the speed.
+    Transition(SpeedAction<'a>),
+    /// Another action that controls the motion.
+    Control(InitialControl<'a>),
+}
+
+/// An action of `Init` that controls the motion of an entity in some domains.
+pub(super) struct InitialControl<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) action: StoryAction<'a>,
+    pub(super) domains: ActionDomains,
+}
+
+impl<'a> InitialState<'a> {
+    fn new(count: usize) -> Self {
+        Self {
+            places: Vec::new(),
+            speeds_mps: vec![None; count],
+            actions: Vec::new(),
+            is_active: vec![false; count],
+            turned_rad: vec![0.0; count],
+            friction: 1.0,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Sets the speed of an entity, given that to which it is relative.
+    fn set_speed(
+        &mut self,
+        entity: usize,
+        action: SpeedAction<'a>,
+        reference_mps: f64,
+    ) -> Result<()> {
+        let mps = action.target.speed_mps(action.node, reference_mps)?;
+        if let Some(speed) = self.speeds_mps.get_mut(entity) {
+            *speed = Some(mps);
+        }
+        if action.target.is_continuous {
+            let action = InitialAction::Continuous(action);
+            self.actions.push((entity, action));
+        }
+        Ok(())
+    }
+
+    /// Returns the position in the direction of travel.
     fn along_m(&self, entity: usize) -> Option<f64> {
-        self.places.get(entity).map(|position| position.along_m)
+        let lane_place = self.places.get(entity)?;
+        Some(lane_place.direction * lane_place.road_m)
     }
 }
 
+/// Reads the element `Init` of a storyboard.
 pub(super) fn read_initial<'a>(
-    init: Node<'a>,
+    storyboard: Node<'a>,
     entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
     files: &SourceFiles<'_>,
     work: &WorkBudget,
 ) -> Result<InitialState<'a>> {
+    let init = storyboard.child("Init")?;
     init.only(&["Actions"], &[])?;
     let groups = init.child("Actions")?;
     check_counts(groups)?;
-    let mut state = InitialState {
-        places: Vec::new(),
-        speeds_mps: vec![None; entities.len()],
-        transitions: Vec::new(),
-        is_active: vec![false; entities.len()],
-        friction: 1.0,
-        notes: Vec::new(),
-    };
-    let mut actions = InitialActions {
-        positions: vec![None; entities.len()],
-        speeds: Vec::new(),
-        distances: Vec::new(),
-    };
+    let mut state = InitialState::new(entities.len());
+    let mut actions = InitialActions::new(entities.len());
     for group in groups.children() {
         match group.name() {
-            "GlobalAction" => read_environment(group.single()?, files, &mut state)?,
-            "Private" => {
-                group.only(&["PrivateAction"], &["entityRef"])?;
-                let entity = entity_index(group, "entityRef", entities)?;
-                for action in group.children() {
-                    actions.read(action.single()?, entity, entities, &mut state)?;
-                }
+            "GlobalAction" => read_global(group, files, entities, &mut state)?,
+            "UserDefinedAction" => {
+                let note = group.note("has no influence on the motion");
+                state.notes.push(note);
             }
+            "Private" => actions.read_group(group, entities, &mut state)?,
             _ => return Err(group.refuse("is not supported")),
         }
     }
-    state.places = resolve_places(init, &actions.positions, entities, roads)?;
+    let positions = actions.positions();
+    state.turned_rad = turned_bodies(&positions, entities)?;
+    state.places = resolve_places(init, &positions, entities, roads)?;
+    if let Some(lane_place) = state.places.first() {
+        let road = roads.find(init, Some(&lane_place.road), [0.0; 2])?;
+        state.notes.extend(road.notes.iter().cloned());
+    }
     resolve_speeds(actions.speeds, &mut state, groups, work)?;
     for (entity, node) in actions.distances {
         apply_distance(node, entity, entities, &mut state)?;
     }
+    state.actions.extend(actions.others);
     Ok(state)
 }
 
@@ -97,41 +146,145 @@ struct InitialActions<'a> {
     speeds: Vec<(usize, SpeedAction<'a>)>,
     /// Entities and actions that place them at a distance from another.
     distances: Vec<(usize, Node<'a>)>,
+    /// Entities, their routes and other actions that control their motion.
+    others: Vec<(usize, InitialAction<'a>)>,
+}
+
+/// Position at which an entity starts.
+#[derive(Clone, Copy)]
+struct StartPosition<'a> {
+    node: Node<'a>,
+    purpose: PlacePurpose,
+}
+
+impl StartPosition<'_> {
+    /// Returns the purpose of the position of a body.
+    fn purpose_for(&self, body: Option<&Entity<'_>>) -> PlacePurpose {
+        match body {
+            Some(body) if body.is_obstacle => PlacePurpose::Obstacle,
+            _ => self.purpose,
+        }
+    }
 }
 
 impl<'a> InitialActions<'a> {
+    fn new(count: usize) -> Self {
+        Self {
+            positions: vec![None; count],
+            speeds: Vec::new(),
+            distances: Vec::new(),
+            others: Vec::new(),
+        }
+    }
+
+    /// Reads the actions of an entity.
+    fn read_group(
+        &mut self,
+        group: Node<'a>,
+        entities: &[Entity<'_>],
+        state: &mut InitialState<'_>,
+    ) -> Result<()> {
+        group.only(&["PrivateAction"], &["entityRef"])?;
+        let entity = entity_index(group, "entityRef", entities)?;
+        for action in group.children() {
+            self.read(action, entity, entities, state)?;
+        }
+        Ok(())
+    }
+
+    /// Returns the positions of the entities. One without a position starts at the first vertex of its trajectory.
+    fn positions(&self) -> Vec<Option<StartPosition<'a>>> {
+        let stated = self.positions.iter().enumerate();
+        stated
+            .map(|(entity, stated)| match stated {
+                Some(node) => Some(StartPosition {
+                    node: *node,
+                    purpose: PlacePurpose::Lane,
+                }),
+                None => self.first_vertex(entity),
+            })
+            .collect()
+    }
+
+    /// Returns the position of the first vertex of an entity's trajectory.
+    fn first_vertex(&self, entity: usize) -> Option<StartPosition<'a>> {
+        let mut own = self.others.iter().filter(|(owner, _)| *owner == entity);
+        own.find_map(|(_, action)| match action {
+            InitialAction::Control(InitialControl {
+                action: StoryAction::Trajectory(trajectory),
+                ..
+            }) => Some(StartPosition {
+                node: trajectory.first_position()?,
+                purpose: PlacePurpose::Vertex,
+            }),
+            _ => None,
+        })
+    }
+
     /// Reads a private action of an entity.
     fn read(
         &mut self,
-        action: Node<'a>,
+        holder: Node<'a>,
         entity: usize,
         entities: &[Entity<'_>],
         state: &mut InitialState<'_>,
     ) -> Result<()> {
-        match (action.name(), action.children().next().map(Node::name)) {
-            ("TeleportAction", _) => {
-                let position = action.child("Position")?.single()?;
-                let slot = self.positions.get_mut(entity);
-                if slot.is_some_and(|slot| slot.replace(position).is_some()) {
-                    return Err(action.refuse("is a second position of the entity"));
-                }
+        let action = holder.single()?;
+        let is_longitudinal = action.name() == "LongitudinalAction";
+        let inner = action.children().next().map(Node::name);
+        if action.name() == path::TELEPORT_ACTION {
+            let position = action.child("Position")?.single()?;
+            let slot = self.positions.get_mut(entity);
+            if slot.is_some_and(|slot| slot.replace(position).is_some()) {
+                return Err(action.refuse("is a second position of the entity"));
             }
-            ("LongitudinalAction", Some("SpeedAction")) => {
-                let speed = read_speed(action.single()?, entities)?;
-                self.speeds.push((entity, speed));
-            }
-            ("LongitudinalAction", Some("LongitudinalDistanceAction")) => {
-                self.distances.push((entity, action.single()?));
-            }
-            ("ControllerAction" | "ActivateControllerAction", _) => {
-                if let StoryAction::Activate = read_action(action, entities)?
-                    && let Some(is_active) = state.is_active.get_mut(entity)
-                {
+            return Ok(());
+        }
+        if is_longitudinal && inner == Some(last_element(path::SPEED_ACTION)) {
+            let speed = read_speed(action.single()?, entities)?;
+            self.speeds.push((entity, speed));
+            return Ok(());
+        }
+        if is_longitudinal && inner == Some(last_element(path::DISTANCE_ACTION)) {
+            self.distances.push((entity, action.single()?));
+            return Ok(());
+        }
+        self.read_other(holder, entity, entities, state)
+    }
+
+    /// Reads an action that has no effect on the initial motion.
+    fn read_other(
+        &mut self,
+        holder: Node<'a>,
+        entity: usize,
+        entities: &[Entity<'_>],
+        state: &mut InitialState<'_>,
+    ) -> Result<()> {
+        let action = holder.single()?;
+        let KnownAction {
+            action: known,
+            domains,
+        } = find_action(holder, entities)?;
+        match known {
+            StoryAction::Activate => {
+                if let Some(is_active) = state.is_active.get_mut(entity) {
                     *is_active = true;
                 }
             }
-            ("LongitudinalAction", Some(_)) => {
-                return Err(action.single()?.refuse("is not supported in `Init`"));
+            StoryAction::Ignored(reason) => state.notes.push(action.note(reason)),
+            StoryAction::Route(node) => {
+                self.others.push((entity, InitialAction::Route(node)));
+            }
+            known @ (StoryAction::Trajectory(_)
+            | StoryAction::LaneChange(_)
+            | StoryAction::LaneOffset(_)
+            | StoryAction::SpeedProfile(_)) => {
+                let control = InitialControl {
+                    node: known.node().unwrap_or(action),
+                    action: known,
+                    domains,
+                };
+                self.others.push((entity, InitialAction::Control(control)));
             }
             _ => return Err(action.refuse("is not supported in `Init`")),
         }
@@ -139,14 +292,29 @@ impl<'a> InitialActions<'a> {
     }
 }
 
+/// Reads a global action: the environment, or one without influence on the motion.
+fn read_global(
+    holder: Node<'_>,
+    files: &SourceFiles<'_>,
+    entities: &[Entity<'_>],
+    state: &mut InitialState<'_>,
+) -> Result<()> {
+    let action = holder.single()?;
+    if action.name() == path::ENVIRONMENT_ACTION {
+        return read_environment(action, files, state);
+    }
+    match find_action(holder, entities)?.action {
+        StoryAction::Ignored(reason) => state.notes.push(action.note(reason)),
+        _ => return Err(action.refuse("is not supported in `Init`")),
+    }
+    Ok(())
+}
+
 fn read_environment(
     action: Node<'_>,
     files: &SourceFiles<'_>,
     state: &mut InitialState<'_>,
 ) -> Result<()> {
-    if action.name() != "EnvironmentAction" {
-        return Err(action.refuse("is not supported"));
-    }
     let environment = action.single()?;
     if environment.name() == "CatalogReference" {
         return files.with_catalog_entry(environment, &["Environment"], |entry| {
@@ -192,7 +360,7 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
 /// Returns the places of all entities. A position may be relative to that of another entity.
 fn resolve_places(
     init: Node<'_>,
-    positions: &[Option<Node<'_>>],
+    positions: &[Option<StartPosition<'_>>],
     entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
 ) -> Result<Vec<LanePlace>> {
@@ -211,8 +379,12 @@ fn resolve_places(
                     .map_or("", |entity| entity.name.as_str());
                 init.refuse(format!("has no position of the entity `{name}`"))
             })?;
-            match resolve_place(position, &places, entities, roads)? {
-                Some(place) => drop(places.get_mut(entity).map(|slot| slot.replace(place))),
+            let purpose = position.purpose_for(entities.get(entity));
+            let position = position.node;
+            match resolve_place(position, &places, entities, roads, purpose)? {
+                Some(lane_place) => {
+                    drop(places.get_mut(entity).map(|slot| slot.replace(lane_place)))
+                }
                 None if waiting.len() > positions.len() => {
                     return Err(
                         init.refuse("positions of entities are relative to each other in a circle")
@@ -227,101 +399,30 @@ fn resolve_places(
     Ok(places)
 }
 
-fn check_same_road(places: &[LanePlace], positions: &[Option<Node<'_>>]) -> Result<()> {
+fn check_same_road(places: &[LanePlace], positions: &[Option<StartPosition<'_>>]) -> Result<()> {
     let road = places.first().map(|position| &position.road);
     let mut places = places.iter().zip(positions);
-    match places.find(|(place, _)| road != Some(&place.road)) {
-        Some((_, Some(position))) => Err(position.refuse("entities must be on the same road")),
+    match places.find(|(lane_place, _)| road != Some(&lane_place.road)) {
+        Some((_, Some(position))) => Err(position.node.refuse("entities must be on the same road")),
         _ => Ok(()),
     }
 }
 
-/// Returns the place of a position; `None` if it is relative to a position that is not resolved yet.
-pub(super) fn resolve_place(
-    node: Node<'_>,
-    resolved: &[Option<LanePlace>],
+/// Returns the angles by which obstacles are turned.
+fn turned_bodies(
+    positions: &[Option<StartPosition<'_>>],
     entities: &[Entity<'_>],
-    roads: &RoadMap<'_>,
-) -> Result<Option<LanePlace>> {
-    check_orientation(node)?;
-    match node.name() {
-        "WorldPosition" => {
-            node.only(&[], &["x", "y", "z", "h", "p", "r"])?;
-            let point_m = [node.number("x")?, node.number("y")?];
-            let road = roads.find(node, None, point_m)?;
-            // Without `h`, the heading is 0, but that of a trajectory is its direction.
-            let heading_rad = node
-                .optional_number("h")?
-                .or((!resolved.is_empty()).then_some(0.0));
-            road.place_of_point(node, point_m, heading_rad).map(Some)
-        }
-        "LanePosition" => {
-            node.only(&["Orientation"], &["roadId", "laneId", "offset", "s"])?;
-            check_in_middle(node)?;
-            let road = roads.find(node, Some(&node.text("roadId")?), [0.0; 2])?;
-            road.position(node, lane_number(node, "laneId")?, node.number("s")?)
-                .map(Some)
-        }
-        "RelativeLanePosition" => {
-            node.only(
-                &["Orientation"],
-                &["entityRef", "dLane", "ds", "dsLane", "offset"],
-            )?;
-            check_in_middle(node)?;
-            let reference = resolved.get(entity_index(node, "entityRef", entities)?);
-            match reference.and_then(Option::as_ref) {
-                Some(reference) => relative_place(node, reference, roads).map(Some),
-                None => Ok(None),
+) -> Result<Vec<f64>> {
+    let bodies = positions.iter().zip(entities);
+    bodies
+        .map(|(position, body)| match position {
+            Some(StartPosition { node, .. }) if body.is_obstacle => {
+                let orientation = node.optional("Orientation").unwrap_or(*node);
+                Ok(orientation.optional_number("h")?.unwrap_or(0.0))
             }
-        }
-        _ => Err(node.refuse("is not supported as a position")),
-    }
-}
-
-/// Returns the place at a distance and a number of lanes from another place.
-fn relative_place(node: Node<'_>, reference: &LanePlace, roads: &RoadMap<'_>) -> Result<LanePlace> {
-    let road = roads.find(node, Some(&reference.road), [0.0; 2])?;
-    let lane = road.shifted_lane(reference.lane, lane_number(node, "dLane")?);
-    let ahead_m = match node.optional_number("dsLane")? {
-        Some(ahead_m) => ahead_m,
-        None => node.number("ds")?,
-    };
-    road.place_along(node, lane, reference.along_m + ahead_m)
-}
-
-/// Refuses a direction other than that of the lane. `h` of a world position is checked with the lane.
-fn check_orientation(position: Node<'_>) -> Result<()> {
-    let orientation = position.optional("Orientation").unwrap_or(position);
-    if orientation.name() == "Orientation" {
-        orientation.only(&[], &["type", "h", "p", "r"])?;
-    }
-    let angles = if position.name() == "WorldPosition" {
-        &["p", "r"][..]
-    } else {
-        &["h", "p", "r"]
-    };
-    for angle in angles {
-        if orientation
-            .optional_number(angle)?
-            .is_some_and(|rad| rad.abs() > 1e-3)
-        {
-            return Err(
-                orientation.refuse(format!("`{angle}` differs from the direction of the lane"))
-            );
-        }
-    }
-    Ok(())
-}
-
-/// Refuses a position beside the middle of its lane.
-fn check_in_middle(position: Node<'_>) -> Result<()> {
-    match position.optional_number("offset")? {
-        Some(offset_m) if offset_m != 0.0 => Err(position.refuse(format!(
-            "offset = {} is lateral: vehicles drive in the middle of a lane",
-            format_number(offset_m)
-        ))),
-        _ => Ok(()),
-    }
+            _ => Ok(0.0),
+        })
+        .collect()
 }
 
 /// Sets the initial speeds, of which some are relative to others.
@@ -338,26 +439,16 @@ fn resolve_speeds<'a>(
         let count = waiting.len();
         let mut later = Vec::new();
         for (entity, action) in waiting {
-            if action.dynamics.shape != TransitionShape::Step {
-                state.transitions.push((entity, action));
-                continue;
-            }
-            let reference = action
-                .target
-                .reference
-                .map(|entity| state.speeds_mps.get(entity).copied().flatten());
-            match reference {
+            let reference = action.target.reference;
+            let reference = reference.map(|entity| state.speeds_mps.get(entity).copied().flatten());
+            if !action.dynamics.is_instant() {
+                let action = InitialAction::Transition(action);
+                state.actions.push((entity, action));
+            } else if reference == Some(None) && rounds <= count {
+                later.push((entity, action));
+            } else {
                 // A vehicle without an initial speed stands.
-                Some(None) if rounds <= count => later.push((entity, action)),
-                _ => {
-                    let mps = action
-                        .target
-                        .speed_mps(action.node, reference.flatten().unwrap_or(0.0))?;
-                    state
-                        .speeds_mps
-                        .get_mut(entity)
-                        .map(|speed| speed.replace(mps));
-                }
+                state.set_speed(entity, action, reference.flatten().unwrap_or(0.0))?;
             }
         }
         waiting = later;
@@ -395,12 +486,13 @@ fn apply_distance(
         distance_m += rear.front_m + front.length_m - front.front_m;
     }
     let from_m = state.along_m(reference).unwrap_or(0.0);
-    if let Some(place) = state.places.get_mut(entity) {
-        place.along_m = if leads {
+    if let Some(lane_place) = state.places.get_mut(entity) {
+        let along_m = if leads {
             from_m + distance_m
         } else {
             from_m - distance_m
         };
+        lane_place.road_m = lane_place.direction * along_m;
     }
     Ok(())
 }

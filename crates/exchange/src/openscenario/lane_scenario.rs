@@ -1,16 +1,18 @@
 //! The scenario on one lane that a replay gives.
 
 use super::ImportedLaneScenario;
-use super::entities::Entity;
+use super::entities::{Entity, MAX_LIMIT_MPS2};
 use super::error::ScenarioImportError;
+use super::lateral::LaneStay;
 use super::limits::{MAX_VEHICLE_STEPS, WORK_PER_SAMPLE};
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::trigger::Firing;
+use super::vocabulary::ElementKind;
 use super::xml::{ElementLocation, Node};
 use crumple_core::digits::{format_fixed, format_number};
 use crumple_sim::scenario::{
-    Driver, InvalidField, LaneChange, Scenario, ScenarioSpec, VehicleSpec,
+    Driver, InvalidField, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleSpec,
 };
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -18,18 +20,29 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 /// Largest distance between a script and its motion within the limits of the vehicle, in metres.
 const FOLLOW_TOLERANCE_M: f64 = 0.01;
 
+/// Time after the end at which a vehicle that stays beside the lane would enter it, in seconds.
+const BESIDE_S: f64 = 1.0;
+
 /// The replay, and what the scenario takes from the rest of the file.
 pub(super) struct LaneScenarioBuilder<'a, 'b> {
     pub(super) storyboard: Node<'a>,
     pub(super) replay: Replay<'a, 'b>,
     pub(super) drivers: Vec<Option<Driver>>,
-    pub(super) friction: f64,
     pub(super) stop: Firing,
     pub(super) name: String,
     pub(super) about: String,
 }
 
+/// The lane of the vehicle under test.
+struct LaneUnderTest {
+    /// Lateral positions of its edges, in metres.
+    edges_m: [f64; 2],
+    /// Direction of travel of the vehicle under test.
+    direction: f64,
+}
+
 /// A vehicle before it has its place in the list.
+#[derive(Clone)]
 struct LaneVehicle {
     entity: usize,
     spec: VehicleSpec,
@@ -51,16 +64,22 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         self.check_duration(start_s)?;
         self.note_assumptions(start_s);
         self.check_work(start_s)?;
-        let lane = self.lane_under_test();
+        let lane = self.lane_under_test()?;
         let mut vehicles: Vec<LaneVehicle> = Vec::new();
+        let mut absent = Vec::new();
         for entity in 0..self.drivers.len() {
-            let mut vehicle = self.vehicle(entity, lane, start_s)?;
-            self.replay.notes.append(&mut vehicle.notes);
-            vehicles.push(vehicle);
+            let stays = self.stays(entity, &lane, start_s)?;
+            if stays.is_empty() {
+                absent.push(entity);
+            } else {
+                self.add_vehicle(entity, stays, start_s, &mut vehicles)?;
+            }
         }
+        self.add_absent(&absent, start_s, &mut vehicles)?;
+        self.add_second_vehicle(start_s, &mut vehicles);
         let mut vehicles = self.order(vehicles);
         for index in 0..vehicles.len() {
-            self.set_entry_gap(&mut vehicles, index)?;
+            self.set_entry_gap(&mut vehicles, index, start_s)?;
         }
         let entities: Vec<usize> = vehicles.iter().map(|vehicle| vehicle.entity).collect();
         let vehicles = vehicles.into_iter().map(|vehicle| vehicle.spec).collect();
@@ -73,15 +92,138 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
     }
 
     /// Returns the lane of the vehicle under test; without one, that of the first entity.
-    fn lane_under_test(&self) -> i32 {
+    fn lane_under_test(&self) -> Result<LaneUnderTest> {
         let under_test = self
             .drivers
             .iter()
             .position(|driver| *driver == Some(Driver::UnderTest));
+        let entity = under_test.unwrap_or(0);
+        let node = self.replay.entities.get(entity);
+        let node = node.map_or(self.storyboard, |entity| entity.node);
+        let lane = self.replay.road.lane_at(self.replay.lateral_m(entity, 0.0));
+        let lane = lane.ok_or_else(|| node.refuse("is beside the lanes of the road"))?;
+        Ok(LaneUnderTest {
+            edges_m: self.replay.road.lane_edges_m(node, lane)?,
+            direction: self.replay.direction(entity),
+        })
+    }
+
+    /// Returns the times at which the body of an entity is in the lane after the start.
+    fn stays(
+        &self,
+        entity: usize,
+        lane: &LaneUnderTest,
+        start_s: f64,
+    ) -> Result<Vec<LaneStay<'a>>> {
+        let motion = self.replay.motion.get(entity);
+        let Some((motion, body)) = motion.zip(self.replay.entities.get(entity)) else {
+            return Ok(Vec::new());
+        };
+        let stop_s = self.stop.time_s;
+        let samples = motion.lateral.moves().len() as u64;
         self.replay
-            .motion
-            .get(under_test.unwrap_or(0))
-            .map_or(0, |motion| motion.lane)
+            .work
+            .spend(body.node, WORK_PER_SAMPLE * samples)?;
+        let mut stays = motion
+            .lateral
+            .stays(&motion.plan, lane.edges_m, body.width_m, stop_s);
+        stays.retain(|stay| {
+            stay.enters.is_none_or(|enters| enters.time_s < stop_s)
+                && stay.leaves.is_none_or(|leaves| leaves.time_s > start_s)
+        });
+        let stands = motion.plan.knots().iter().all(|knot| knot.speed_mps == 0.0);
+        if motion.direction != lane.direction && !stands && !stays.is_empty() {
+            return Err(body.node.refuse(format!(
+                "`{}` drives against the direction of the vehicle under test in its lane",
+                body.name
+            )));
+        }
+        Ok(stays)
+    }
+
+    /// Notes the entities that are never in the lane. Without any other vehicle, they are beside the lane, unless they
+    /// move towards it in vain.
+    fn add_absent(
+        &mut self,
+        absent: &[usize],
+        start_s: f64,
+        vehicles: &mut Vec<LaneVehicle>,
+    ) -> Result<()> {
+        let are_omitted = vehicles.len() >= 2;
+        for &entity in absent {
+            let bodies = self.replay.entities.get(entity);
+            let Some((body, motion)) = bodies.zip(self.replay.motion.get(entity)) else {
+                continue;
+            };
+            let node = body.node;
+            let problem = format!(
+                "the entity `{}` is never in the lane of the vehicle under test",
+                body.name
+            );
+            if are_omitted {
+                let note = node.note(format!("{problem}: the scenario omits it"));
+                self.replay.notes.push(note);
+                continue;
+            }
+            if !motion.lateral.moves().is_empty() {
+                return Err(node.refuse(problem));
+            }
+            let note = node.note(format!("{problem}: it stays beside the lane"));
+            self.replay.notes.push(note);
+            let mut vehicle = self.vehicle(entity, start_s)?;
+            vehicle.enters_s = self.stop.time_s + BESIDE_S;
+            vehicle.spec.enters = Some(LaneChange::At(vehicle.enters_s - start_s));
+            vehicles.push(vehicle);
+        }
+        Ok(())
+    }
+
+    /// Adds a vehicle that stands beside the lane to a single vehicle, because a scenario has at least two.
+    fn add_second_vehicle(&mut self, start_s: f64, vehicles: &mut Vec<LaneVehicle>) {
+        let [only] = vehicles.as_slice() else {
+            return;
+        };
+        let enters_s = self.stop.time_s + BESIDE_S;
+        let standing = Driver::Profile(LeadProfile::ConstantSpeed);
+        let mut spec = VehicleSpec::new(only.spec.class, only.spec.position_m, 0.0, standing);
+        spec.enters = Some(LaneChange::At(enters_s - start_s));
+        vehicles.push(LaneVehicle {
+            entity: usize::MAX,
+            spec,
+            enters_s,
+            notes: Vec::new(),
+        });
+        let note = "has one vehicle: a second one, which a scenario needs, stands beside the lane";
+        self.replay.notes.push(self.storyboard.note(note));
+    }
+
+    /// Adds an entity as one vehicle for each of its stays in the lane.
+    fn add_vehicle(
+        &mut self,
+        entity: usize,
+        stays: Vec<LaneStay<'a>>,
+        start_s: f64,
+        vehicles: &mut Vec<LaneVehicle>,
+    ) -> Result<()> {
+        let mut vehicle = self.vehicle(entity, start_s)?;
+        self.replay.notes.append(&mut vehicle.notes);
+        if let [_, second, ..] = stays.as_slice()
+            && let Some(body) = self.replay.entities.get(entity)
+        {
+            let node = second.enters.map_or(body.node, |enters| enters.node);
+            self.replay.notes.push(node.note(format!(
+                "`{}` is in the lane {} times: it is a vehicle with the same motion for each of them",
+                body.name,
+                stays.len()
+            )));
+        }
+        for stay in stays {
+            let mut own = vehicle.clone();
+            own.set_stay(&stay, start_s);
+            self.replay.notes.append(&mut own.notes);
+            vehicles.push(own);
+        }
+        Ok(())
     }
 
     /// Notes what the scenario assumes, and events that it omits.
@@ -97,14 +239,19 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             let text = "the duration is that of a vehicle under test that keeps its speed";
             notes.push(self.storyboard.note(text));
         }
-        let events = self.replay.events.iter();
-        notes.extend(events.filter(|event| event.start_s.is_none()).map(|event| {
-            event.node.note(format!(
-                "`{}` never starts within the {} s of the scenario",
-                event.name,
-                format_number(self.stop.time_s)
-            ))
-        }));
+        let events = self.replay.elements.iter();
+        let events = events.filter(|element| element.kind == ElementKind::Event);
+        notes.extend(
+            events
+                .filter(|event| event.started_s.is_none())
+                .map(|event| {
+                    event.node.note(format!(
+                        "`{}` never starts within the {} s of the scenario",
+                        event.name,
+                        format_number(self.stop.time_s)
+                    ))
+                }),
+        );
         self.replay.notes.append(&mut notes);
     }
 
@@ -117,7 +264,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             about: self.about.clone(),
             ..ScenarioSpec::new(self.name.clone(), duration_s, vehicles)
         };
-        spec.environment.friction = self.friction;
+        spec.environment.friction = self.replay.friction;
         spec
     }
 
@@ -187,8 +334,8 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         Ok(())
     }
 
-    /// Returns the vehicle of an entity, which must be in `lane` at some time.
-    fn vehicle(&self, entity: usize, lane: i32, start_s: f64) -> Result<LaneVehicle> {
+    /// Returns the vehicle of an entity, as if it were always in the lane.
+    fn vehicle(&self, entity: usize, start_s: f64) -> Result<LaneVehicle> {
         let motion = self.replay.motion.get(entity);
         let Some((motion, body)) = motion.zip(self.replay.entities.get(entity)) else {
             return Err(self.storyboard.refuse("has no entity"));
@@ -199,12 +346,12 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         if driver.is_some() {
             notes.extend(controller_notes(motion, body));
         }
-        notes.extend(self.end_of_road_note(motion, body)?);
+        notes.extend(self.end_of_road_note(motion, body));
         let is_scripted = driver.is_none();
         let mut spec = self.body_and_driver(motion, body, driver, start_s);
         if is_scripted {
             if motion.follows_path {
-                notes.extend(self.raise_limits(&mut spec, motion, body, start_s));
+                notes.extend(self.raise_limits(&mut spec, motion, body, start_s)?);
             }
             self.check_limits(&spec, motion, start_s, body)?;
         } else {
@@ -215,29 +362,19 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
                 spec.actuator_delay_s,
             ] = body.delays_s;
         }
-        let enters_s = set_lane_changes(&mut spec, motion, body, lane, start_s)?;
         Ok(LaneVehicle {
             entity,
             spec,
-            enters_s,
+            enters_s: f64::NEG_INFINITY,
             notes,
         })
     }
 
     /// Returns a note if an entity would leave the road, which is endless in a scenario.
-    fn end_of_road_note(
-        &self,
-        motion: &EntityMotion<'_>,
-        body: &Entity<'_>,
-    ) -> Result<Option<String>> {
-        let end_m = motion.plan.at(self.stop.time_s).position_m;
-        let road = self
-            .replay
-            .roads
-            .find(body.node, Some(&self.replay.road_id), [0.0; 2])?;
-        let outside = road.place_along(body.node, motion.lane, end_m).err();
-        Ok(outside
-            .map(|outside| format!("{outside}, at the end; the road of the scenario is endless")))
+    fn end_of_road_note(&self, motion: &EntityMotion<'_>, body: &Entity<'_>) -> Option<String> {
+        let end_m = motion.direction * motion.plan.at(self.stop.time_s).position_m;
+        let outside = self.replay.road.check_inside(body.node, end_m).err();
+        outside.map(|outside| format!("{outside}, at the end; the road of the scenario is endless"))
     }
 
     /// Returns the vehicle of an entity with its initial state and its limits. Without a driver, it follows a script.
@@ -260,29 +397,37 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         spec
     }
 
-    /// Raises the limits of a vehicle to what its trajectory needs, and returns a note about it.
+    /// Raises the limits of a vehicle to what its trajectory needs, and returns a note about it. Refuses a trajectory
+    /// that no vehicle can drive.
     fn raise_limits(
         &self,
         spec: &mut VehicleSpec,
         motion: &EntityMotion<'_>,
         body: &Entity<'_>,
         start_s: f64,
-    ) -> Option<String> {
-        let range_mps2 = acceleration_range_mps2(&motion.plan, start_s, self.stop.time_s);
-        let [lowest_mps2, highest_mps2] = range_mps2;
-        let brake_mps2 = -lowest_mps2 / self.friction;
-        if brake_mps2 <= spec.max_brake_mps2() && highest_mps2 <= spec.max_accel_mps2() {
-            return None;
+    ) -> Result<Option<String>> {
+        let [lowest, highest] = extreme_steps(&motion.plan, start_s, self.stop.time_s);
+        let brake_mps2 = -lowest.rate_mps2 / self.replay.friction;
+        let accel_mps2 = highest.rate_mps2;
+        let exceeds_brake = brake_mps2 > spec.max_brake_mps2();
+        if !exceeds_brake && accel_mps2 <= spec.max_accel_mps2() {
+            return Ok(None);
+        }
+        let hardest = if exceeds_brake { &lowest } else { &highest };
+        let node = hardest.action(motion).unwrap_or(body.node);
+        let [lowest, highest] = [&lowest, &highest].map(|step| format_fixed(step.rate_mps2, 1));
+        let need = format!(
+            "the trajectory of `{}` needs {lowest} to {highest} m/s²",
+            body.name
+        );
+        if brake_mps2.max(accel_mps2) > MAX_LIMIT_MPS2 {
+            return Err(node.refuse(format!(
+                "{need}, and vehicles can have limits of up to {MAX_LIMIT_MPS2} m/s², times the friction for braking"
+            )));
         }
         spec.max_brake_mps2 = Some(brake_mps2.max(spec.max_brake_mps2()));
-        spec.max_accel_mps2 = Some(highest_mps2.max(spec.max_accel_mps2()));
-        let node = motion.action(start_s).unwrap_or(body.node);
-        Some(node.note(format!(
-            "the trajectory of `{}` needs {} to {} m/s²: its limits are raised",
-            body.name,
-            format_fixed(lowest_mps2, 1),
-            format_fixed(highest_mps2, 1)
-        )))
+        spec.max_accel_mps2 = Some(accel_mps2.max(spec.max_accel_mps2()));
+        Ok(Some(node.note(format!("{need}: its limits are raised"))))
     }
 
     /// Refuses a script that the vehicle cannot follow. The error states the largest change of the speed until then.
@@ -293,7 +438,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         start_s: f64,
         body: &Entity<'_>,
     ) -> Result<()> {
-        let brake_mps2 = spec.max_brake_mps2() * self.friction;
+        let brake_mps2 = spec.max_brake_mps2() * self.replay.friction;
         let accel_mps2 = spec.max_accel_mps2();
         let mut before = motion.plan.at(start_s);
         let mut speed_mps = spec.speed_mps;
@@ -347,18 +492,49 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         self.replay.position_m(entity, time_s) + self.replay.bumpers_m(entity)[0]
     }
 
-    /// Sets the gap to the vehicle behind that triggers an entry, if the entry depends on its controller.
-    fn set_entry_gap(&mut self, vehicles: &mut [LaneVehicle], index: usize) -> Result<()> {
-        let Some(entering) = vehicles.get(index) else {
+    /// Sets the gap to the vehicle behind that triggers an entry, if the entry depends on its controller. Without a
+    /// controlled vehicle behind, the entry has a time.
+    fn set_entry_gap(
+        &mut self,
+        vehicles: &mut [LaneVehicle],
+        index: usize,
+        start_s: f64,
+    ) -> Result<()> {
+        let entering = vehicles.get(index);
+        let entering =
+            entering.filter(|entering| matches!(entering.spec.enters, Some(LaneChange::Gap(_))));
+        let Some(entering) = entering else {
             return Ok(());
         };
-        if !matches!(entering.spec.enters, Some(LaneChange::Gap(_))) {
-            return Ok(());
-        }
         let node = self.controlled_change_node(entering.entity);
-        let follower = controlled_follower(vehicles, index).ok_or_else(|| {
-            node.refuse("depends on a vehicle with a controller, which must be the next one behind")
-        })?;
+        let time_s = entering.enters_s - start_s;
+        let (enters, gap_or_time) = match controlled_follower(vehicles, index) {
+            Some(follower) => {
+                let gap_m = self.entry_gap_m(node, entering, follower)?;
+                let gap = format!("a gap of {} m", format_fixed(gap_m, 2));
+                (LaneChange::Gap(gap_m), gap)
+            }
+            None => {
+                let time = format!("{} s", format_fixed(time_s, 2));
+                (LaneChange::At(time_s), time)
+            }
+        };
+        self.replay.notes.push(node.note(format!(
+            "enters at {gap_or_time}, as if the vehicle under test kept its speed"
+        )));
+        if let Some(entering) = vehicles.get_mut(index) {
+            entering.spec.enters = Some(enters);
+        }
+        Ok(())
+    }
+
+    /// Returns the gap from the rear bumper of an entering vehicle to the vehicle behind.
+    fn entry_gap_m(
+        &self,
+        node: Node<'_>,
+        entering: &LaneVehicle,
+        follower: &LaneVehicle,
+    ) -> Result<f64> {
         let rear_m = self.front_m(entering.entity, entering.enters_s) - entering.spec.length_m();
         let gap_m = rear_m - self.front_m(follower.entity, entering.enters_s);
         if gap_m < 0.01 {
@@ -367,15 +543,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
                 format_fixed(gap_m, 2)
             )));
         }
-        let note = node.note(format!(
-            "enters at a gap of {} m, as if the vehicle under test kept its speed",
-            format_fixed(gap_m, 2)
-        ));
-        if let Some(entering) = vehicles.get_mut(index) {
-            entering.spec.enters = Some(LaneChange::Gap(gap_m));
-        }
-        self.replay.notes.push(note);
-        Ok(())
+        Ok(gap_m)
     }
 
     /// Returns the element of an entity's lane change whose time depends on a controller.
@@ -383,10 +551,8 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let motion = self.replay.motion.get(entity);
         motion
             .and_then(|motion| {
-                motion
-                    .lane_changes
-                    .iter()
-                    .find(|change| change.depends_on_controller)
+                let mut moves = motion.lateral.moves().iter();
+                moves.find(|step| step.depends_on_controller)
             })
             .map_or(self.storyboard, |change| change.node)
     }
@@ -426,51 +592,26 @@ fn controller_notes(motion: &EntityMotion<'_>, body: &Entity<'_>) -> Vec<String>
     notes
 }
 
-/// Sets when a vehicle enters and leaves `lane`, which it must be in at some time. Returns the time of the entry in
-/// seconds of the replay; negative infinity if the vehicle is in the lane at the start.
-fn set_lane_changes(
-    spec: &mut VehicleSpec,
-    motion: &EntityMotion<'_>,
-    body: &Entity<'_>,
-    lane: i32,
-    start_s: f64,
-) -> Result<f64> {
-    let mut enters_s = f64::NEG_INFINITY;
-    let first_change = motion.lane_changes.first();
-    let initial_lane = first_change.map_or(motion.lane, |change| change.lanes[0]);
-    let mut is_inside = initial_lane == lane;
-    for change in &motion.lane_changes {
-        let [from, to] = change.lanes;
-        let [enter_s, leave_s] = change.crossings_s;
-        if to == lane {
-            if spec.leaves.is_some() {
-                return Err(change.node.refuse("a vehicle can enter the lane only once"));
-            }
-            is_inside = true;
-            if enter_s > start_s {
-                enters_s = enter_s;
-                spec.enters = Some(if change.depends_on_controller {
-                    LaneChange::Gap(f64::NAN)
-                } else {
-                    LaneChange::At(enter_s - start_s)
-                });
-            }
-        } else if from == lane {
-            if change.depends_on_controller || leave_s <= start_s {
-                return Err(change.node.refuse(
-                    "a vehicle can leave the lane only after the start, at a time that depends on no controller",
+impl LaneVehicle {
+    /// Sets when the vehicle enters and leaves the lane.
+    fn set_stay(&mut self, stay: &LaneStay<'_>, start_s: f64) {
+        if let Some(enters) = stay.enters.filter(|enters| enters.time_s > start_s) {
+            self.enters_s = enters.time_s;
+            self.spec.enters = Some(if enters.depends_on_controller {
+                LaneChange::Gap(f64::NAN)
+            } else {
+                LaneChange::At(enters.time_s - start_s)
+            });
+        }
+        if let Some(leaves) = stay.leaves {
+            if leaves.depends_on_controller {
+                self.notes.push(leaves.node.note(
+                    "depends on an entity with a controller: the vehicle leaves at the time that results if that \
+                     entity kept its speed",
                 ));
             }
-            spec.leaves = Some(LaneChange::At(leave_s - start_s));
+            self.spec.leaves = Some(LaneChange::At(leaves.time_s - start_s));
         }
-    }
-    if is_inside {
-        Ok(enters_s)
-    } else {
-        Err(body.node.refuse(format!(
-            "the entity `{}` is never in the lane of the vehicle under test",
-            body.name
-        )))
     }
 }
 
@@ -490,6 +631,11 @@ fn controlled_follower(vehicles: &[LaneVehicle], index: usize) -> Option<&LaneVe
 }
 
 impl SpeedStep {
+    /// Returns the action that changes the speed, which may begin within the step.
+    fn action<'a>(&self, motion: &EntityMotion<'a>) -> Option<Node<'a>> {
+        motion.action(self.time_s + REPLAY_STEP_S)
+    }
+
     /// Returns the error of a script that exceeds the limits of its vehicle with this change.
     fn refuse(
         &self,
@@ -497,10 +643,8 @@ impl SpeedStep {
         body: &Entity<'_>,
         limits_mps2: [f64; 2],
     ) -> ScenarioImportError {
-        // The action may begin within the step.
-        let action = motion.action(self.time_s + REPLAY_STEP_S);
         let [lowest_mps2, highest_mps2] = limits_mps2.map(format_number);
-        action.unwrap_or(body.node).refuse(format!(
+        self.action(motion).unwrap_or(body.node).refuse(format!(
             "at {} s the speed of `{}` changes at {} m/s², outside its limits of {lowest_mps2} and {highest_mps2} m/s²",
             format_fixed(self.time_s, 2),
             body.name,
@@ -509,16 +653,25 @@ impl SpeedStep {
     }
 }
 
-/// Returns the lowest and the highest acceleration of a plan over the steps of the replay, and 0 within them.
-fn acceleration_range_mps2(plan: &SpeedPlan, start_s: f64, stop_s: f64) -> [f64; 2] {
+/// Returns the steps of the replay with the lowest and with the highest acceleration of a plan, or 0 within them.
+fn extreme_steps(plan: &SpeedPlan, start_s: f64, stop_s: f64) -> [SpeedStep; 2] {
+    let mut extremes = [0.0, 0.0].map(|rate_mps2| SpeedStep {
+        time_s: start_s,
+        rate_mps2,
+    });
     let steps = ((stop_s - start_s) / REPLAY_STEP_S).floor() as usize;
-    (0..steps)
-        .map(|step| {
-            let [before_mps, after_mps] = [step, step + 1]
-                .map(|step| plan.at(start_s + step as f64 * REPLAY_STEP_S).speed_mps);
-            (after_mps - before_mps) / REPLAY_STEP_S
-        })
-        .fold([0.0_f64; 2], |[lowest, highest], rate_mps2| {
-            [lowest.min(rate_mps2), highest.max(rate_mps2)]
-        })
+    let mut before = plan.at(start_s);
+    for step in 1..=steps {
+        let after = plan.at(start_s + step as f64 * REPLAY_STEP_S);
+        let rate_mps2 = (after.speed_mps - before.speed_mps) / REPLAY_STEP_S;
+        let time_s = before.time_s;
+        let [lowest, highest] = &mut extremes;
+        if rate_mps2 < lowest.rate_mps2 {
+            *lowest = SpeedStep { time_s, rate_mps2 };
+        } else if rate_mps2 > highest.rate_mps2 {
+            *highest = SpeedStep { time_s, rate_mps2 };
+        }
+        before = after;
+    }
+    extremes
 }

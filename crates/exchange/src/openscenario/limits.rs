@@ -3,9 +3,10 @@
 use std::cell::Cell;
 
 use super::error::ScenarioImportError;
-use super::replay::MAX_DURATION_S;
-use super::xml::Node;
+use super::xml::{ElementLocation, Node};
 
+/// Maximum duration, in seconds.
+pub(super) const MAX_DURATION_S: f64 = 3600.0;
 /// Maximum number of entities: that of the vehicles of a scenario.
 pub(super) const MAX_ENTITIES: usize = 1000;
 /// Maximum number of actions in `Init`, and of their groups.
@@ -16,6 +17,8 @@ pub(super) const MAX_ENVIRONMENTS: usize = 100;
 pub(super) const MAX_EVENTS: usize = 2000;
 /// Maximum number of actions of all events, each counted for each entity that does it.
 pub(super) const MAX_EVENT_ACTIONS: usize = 20_000;
+/// Maximum value of `maximumExecutionCount`.
+pub(super) const MAX_EXECUTIONS: f64 = 100_000.0;
 /// Maximum number of conditions and their groups.
 const MAX_CONDITIONS: usize = 10_000;
 /// Maximum number of entities in all conditions.
@@ -77,10 +80,16 @@ impl WorkBudget {
     /// Takes work from the budget before it is done.
     pub(super) fn spend(&self, node: Node<'_>, units: u64) -> Result<(), ScenarioImportError> {
         let left = self.left.get().checked_sub(units).ok_or_else(|| {
-            node.refuse(format!(
-                "the import needs more than {MAX_WORK} units of work: use fewer variations, a shorter duration, or \
-                 fewer events, conditions or entities (docs/exchange.md)"
-            ))
+            let ElementLocation { path, line, name } = node.location();
+            ScenarioImportError::TooMuchWork {
+                path: path.to_path_buf(),
+                line,
+                element: name,
+                reason: format!(
+                    "the import needs more than {MAX_WORK} units of work: use fewer variations, a shorter duration, \
+                     or fewer events, conditions or entities (docs/exchange.md)"
+                ),
+            }
         })?;
         self.left.set(left);
         Ok(())

@@ -8,33 +8,49 @@
 //!
 //! Content that a scenario cannot represent is an error that names the element, its line and the reason.
 
+mod constructs;
 mod distribution;
+mod element;
 mod entities;
 mod error;
 pub mod export;
 #[cfg(test)]
 mod hostile_tests;
 mod initial;
+mod interpreter;
 mod lane_scenario;
+mod lateral;
 mod limits;
+mod missing_road;
 mod parameters;
 mod path_actions;
+mod place;
+mod quantity;
 mod replay;
 mod replay_state;
 mod report;
 mod road;
+mod scopes;
 mod source;
 mod space;
 mod speed_plan;
+#[cfg(test)]
+mod story_tests;
 mod storyboard;
+mod taut_path;
 #[cfg(test)]
 mod tests;
+mod trajectory;
+mod trajectory_action;
 mod trigger;
+mod variables;
+mod vocabulary;
 mod xml;
 
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
+pub use constructs::{KnownConstruct, known_constructs};
 pub use distribution::{MAX_VARIATIONS, ParameterDistributionFile, Variation};
 pub use entities::{DELAY_PROPERTIES, UNDER_TEST_CONTROLLER};
 pub use error::ScenarioImportError;
@@ -44,9 +60,11 @@ pub use xml::{MAX_XML_BYTES, MAX_XML_ITEMS};
 use self::lane_scenario::LaneScenarioBuilder;
 use self::limits::{WORK_PER_ITEM, WorkBudget};
 use self::parameters::Parameters;
-use self::replay::Replay;
+use self::replay::{Replay, ReplayStart};
 use self::road::RoadMap;
+use self::scopes::StoryScopes;
 use self::source::{FileCache, SourceFiles};
+use self::variables::StoryVariables;
 use self::xml::{Node, SourceElement};
 use crumple_sim::scenario::Scenario;
 
@@ -136,40 +154,70 @@ impl OpenScenarioSource {
         check_content(root)?;
         let header = root.child("FileHeader")?;
         check_version(header)?;
+        self.interpret(root, header, ego)
+    }
+
+    /// Interprets the elements of a file, which have the values of the parameters.
+    fn interpret(
+        &self,
+        root: Node<'_>,
+        header: Node<'_>,
+        ego: Option<&str>,
+    ) -> Result<ImportedLaneScenario> {
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let files = SourceFiles::new(&self.files, folder, root.optional("CatalogLocations"))?;
-        let network = root.child("RoadNetwork")?;
-        network.only(&["LogicFile", "SceneGraphFile"], &[])?;
-        let road = files.road(network.child("LogicFile")?)?;
-        let roads = RoadMap::new(&road, &self.work);
-        let entities = entities::read_entities(root.child("Entities")?, &files)?;
         let storyboard = root.child("Storyboard")?;
         storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
-        let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
-        let init = storyboard.child("Init")?;
-        let initial = initial::read_initial(init, &entities, &roads, &files, &self.work)?;
-        let stories = storyboard::read_stories(storyboard, &entities)?;
-        let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
-        let friction = initial.friction;
-        let mut replay = Replay::new(
-            &entities,
+        let (road, road_note) = self.road(root.child("RoadNetwork")?, storyboard, &files)?;
+        let roads = RoadMap::new(&road, &self.work);
+        let list = root.child("Entities")?;
+        let mut entities = entities::read_entities(list, &files)?;
+        let omitted = entities::remove_placeholders(&mut entities, storyboard);
+        let drivers = entities::assign_drivers(list, &entities, ego)?;
+        let mut initial = initial::read_initial(storyboard, &entities, &roads, &files, &self.work)?;
+        entities::turn(&mut entities, &initial.turned_rad);
+        initial.notes.extend(road_note.into_iter().chain(omitted));
+        let scopes = StoryScopes::read(storyboard, &files)?;
+        let stories = storyboard::read_stories(storyboard, &entities, &scopes)?;
+        initial.notes.extend(stories.notes);
+        let start = ReplayStart {
             initial,
-            &is_controlled,
-            stories.events,
-            &roads,
-            &self.work,
-        )?;
-        let stop = replay.run(stories.triggers, stories.conditions, storyboard)?;
-        LaneScenarioBuilder {
+            elements: stories.elements,
+            variables: StoryVariables::new(root, root.parameters)?,
+            is_controlled: drivers.iter().map(Option::is_some).collect(),
+        };
+        let mut replay = Replay::new(&entities, start, &roads, &self.work, storyboard)?;
+        let stop = replay.run(stories.conditions, storyboard)?;
+        let builder = LaneScenarioBuilder {
             storyboard,
             replay,
             drivers,
-            friction,
             stop,
             name: self.scenario_name(header),
             about: purpose(header),
+        };
+        builder.build()
+    }
+
+    /// Returns the road file. Without one, the road is straight and has the lanes that the storyboard states.
+    fn road(
+        &self,
+        network: Node<'_>,
+        storyboard: Node<'_>,
+        files: &SourceFiles<'_>,
+    ) -> Result<(Rc<SourceElement>, Option<String>)> {
+        network.only(
+            &["LogicFile", "SceneGraphFile", "TrafficSignals", "UsedArea"],
+            &[],
+        )?;
+        let file = network.optional("LogicFile");
+        if let Some(road) = file.map(|file| files.road(file)).transpose()?.flatten() {
+            return Ok((road, None));
         }
-        .build()
+        let node = file.unwrap_or(network);
+        let road = missing_road::replacement(node, storyboard)?;
+        let note = node.note(road.about);
+        Ok((files.replacement_road(&road.text)?, Some(note)))
     }
 
     /// Returns the name of the scenario: that of crumple's export, or that of the file.
@@ -217,6 +265,8 @@ fn check_content(root: Node<'_>) -> Result<()> {
         &[
             "FileHeader",
             "ParameterDeclarations",
+            "VariableDeclarations",
+            "MonitorDeclarations",
             "CatalogLocations",
             "RoadNetwork",
             "Entities",

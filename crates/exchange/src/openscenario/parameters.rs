@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use super::error::ScenarioImportError;
 use super::limits::{MAX_PARAMETERS, MAX_VALUE_BYTES, ensure_at_most};
+use super::vocabulary::{Rule, Word as _};
 use super::xml::Node;
 use crumple_core::digits::format_compact;
 
@@ -96,6 +97,25 @@ impl Parameters {
         })
     }
 
+    /// Returns these parameters with those that an element declares, whose constraints must hold.
+    pub(super) fn extended(&self, declarations: Node<'_>) -> Result<Self, ScenarioImportError> {
+        let mut declared = self.clone();
+        check_counts(declarations, &[])?;
+        for declaration in declarations.children() {
+            declared.add(declaration, &HashMap::new())?;
+        }
+        for declaration in declarations.children() {
+            declared.check_constraints(declaration)?;
+        }
+        Ok(declared)
+    }
+
+    /// Returns names and values.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
+        let parameters = self.0.iter();
+        parameters.map(|(name, parameter)| (name.as_str(), parameter.text.as_str()))
+    }
+
     pub(super) fn contains(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }
@@ -168,9 +188,9 @@ fn satisfies_group(value: &str, group: Node<'_>) -> Result<bool, ScenarioImportE
     let mut holds = true;
     for constraint in group.children() {
         constraint.only(&[], &["rule", "value"])?;
-        let rule = constraint.text("rule")?;
+        let rule: Rule = constraint.word("rule")?;
         let limit = constraint.text("value")?;
-        holds &= compare(value, &rule, &limit).map_err(|reason| constraint.refuse(reason))?;
+        holds &= compare(value, rule, &limit).map_err(|reason| constraint.refuse(reason))?;
     }
     Ok(holds)
 }
@@ -178,10 +198,15 @@ fn satisfies_group(value: &str, group: Node<'_>) -> Result<bool, ScenarioImportE
 /// Reads a parameter and its value.
 pub(super) fn read_assignment(node: Node<'_>) -> Result<(String, String), ScenarioImportError> {
     node.only(&[], &["parameterRef", "value"])?;
-    Ok((node.text("parameterRef")?, node.text("value")?))
+    let name = node.raw("parameterRef");
+    let name = name.ok_or_else(|| node.refuse("has no attribute `parameterRef`"))?;
+    // Some tools write the reference as they would write a value.
+    let name = name.strip_prefix('$').unwrap_or(name);
+    Ok((name.to_owned(), node.text("value")?))
 }
 
-fn compare(value: &str, rule: &str, limit: &str) -> Result<bool, String> {
+/// Compares two values as numbers, or for equality as texts.
+pub(super) fn compare(value: &str, rule: Rule, limit: &str) -> Result<bool, String> {
     let numbers = value
         .trim()
         .parse::<f64>()
@@ -189,14 +214,15 @@ fn compare(value: &str, rule: &str, limit: &str) -> Result<bool, String> {
         .zip(limit.trim().parse::<f64>().ok());
     let is_equal = numbers.map_or(value == limit, |(a, b)| a == b);
     match (rule, numbers) {
-        ("equalTo", _) => Ok(is_equal),
-        ("notEqualTo", _) => Ok(!is_equal),
-        ("greaterThan", Some((a, b))) => Ok(a > b),
-        ("lessThan", Some((a, b))) => Ok(a < b),
-        ("greaterOrEqual", Some((a, b))) => Ok(a >= b),
-        ("lessOrEqual", Some((a, b))) => Ok(a <= b),
-        _ => Err(format!(
-            "cannot compare `{value}` and `{limit}` by the rule `{rule}`"
+        (Rule::EqualTo, _) => Ok(is_equal),
+        (Rule::NotEqualTo, _) => Ok(!is_equal),
+        (Rule::GreaterThan, Some((a, b))) => Ok(a > b),
+        (Rule::LessThan, Some((a, b))) => Ok(a < b),
+        (Rule::GreaterOrEqual, Some((a, b))) => Ok(a >= b),
+        (Rule::LessOrEqual, Some((a, b))) => Ok(a <= b),
+        (_, None) => Err(format!(
+            "cannot compare `{value}` and `{limit}` by the rule `{}`",
+            rule.name()
         )),
     }
 }
@@ -296,6 +322,7 @@ impl<'a> ExpressionParser<'a> {
             Vec::new()
         };
         Ok(match (name, arguments.as_slice()) {
+            ("pi", []) => std::f64::consts::PI,
             ("round", [a]) => a.round(),
             ("floor", [a]) => a.floor(),
             ("ceil", [a]) => a.ceil(),

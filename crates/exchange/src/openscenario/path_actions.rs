@@ -1,41 +1,68 @@
-//! Actions that move along a path: trajectories and lane changes.
+//! Lane changes, lateral offsets and routes.
 
+use super::constructs::ActionDomains;
 use super::entities::Entity;
 use super::error::ScenarioImportError;
-use super::initial::resolve_place;
-use super::limits::WORK_PER_SAMPLE;
-use super::replay::{EntityMotion, LaneChangeTimes, MAX_DURATION_S, Replay};
-use super::speed_plan::{PathVertex, TransitionDynamics, TransitionShape, take_samples};
+use super::interpreter::ActionGoal;
+use super::lateral::{LateralExtent, LateralMove};
+use super::limits::{MAX_DURATION_S, WORK_PER_SAMPLE};
+use super::place::{PlacePurpose, resolve_place};
+use super::replay::Replay;
+use super::road::LanePlace;
+use super::speed_plan::{TransitionDynamics, take_samples};
 use super::storyboard::{StoryAction, entity_index};
 use super::trigger::Firing;
+use super::vocabulary::TransitionShape;
 use super::xml::Node;
 use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// Largest distance of the first vertex of a trajectory from the entity, in metres.
-const START_TOLERANCE_M: f64 = 0.01;
-
 pub(super) struct LaneChangeAction<'a> {
     pub(super) node: Node<'a>,
-    pub(super) dynamics: TransitionDynamics,
-    pub(super) target: LaneTarget,
+    dynamics: TransitionDynamics,
+    target: LaneTarget,
+    /// Distance to the left of the middle of the lane, in the direction of travel, in metres.
+    offset_m: f64,
 }
 
-pub(super) enum LaneTarget {
+enum LaneTarget {
     Absolute(i32),
     /// Number of lanes to the left of an entity.
     Relative(usize, i32),
 }
 
-pub(super) struct TrajectoryAction<'a> {
+/// A change of the distance from the middle of the lane.
+pub(super) struct LaneOffsetAction<'a> {
     pub(super) node: Node<'a>,
-    /// Times and positions of the vertices.
-    pub(super) vertices: Vec<(f64, Node<'a>)>,
-    /// True if times count from the start of the action.
-    pub(super) is_relative: bool,
+    shape: TransitionShape,
+    /// Largest lateral acceleration, in m/s².
+    max_mps2: Option<f64>,
+    /// Entity whose lateral position is the reference; without one, that is the middle of the lane.
+    reference: Option<usize>,
+    offset_m: f64,
+    /// True if the action keeps the offset until another one ends it (class `LaneOffsetAction`).
+    is_continuous: bool,
 }
 
+impl LaneOffsetAction<'_> {
+    /// Returns the duration of a lateral movement.
+    fn duration_s(&self, change_m: f64) -> Result<f64> {
+        let duration_s = match self.max_mps2 {
+            Some(limit_mps2) if change_m != 0.0 => {
+                self.shape.duration_at_acceleration_s(change_m, limit_mps2)
+            }
+            _ => 0.0,
+        };
+        if duration_s > MAX_DURATION_S {
+            let problem = format!("the movement takes longer than {MAX_DURATION_S} s");
+            return Err(self.node.refuse(problem));
+        }
+        Ok(duration_s)
+    }
+}
+
+/// Reads a lane change.
 pub(super) fn read_lane_change<'a>(
     node: Node<'a>,
     entities: &[Entity<'_>],
@@ -44,14 +71,6 @@ pub(super) fn read_lane_change<'a>(
         &["LaneChangeActionDynamics", "LaneChangeTarget"],
         &["targetLaneOffset"],
     )?;
-    if node
-        .optional_number("targetLaneOffset")?
-        .is_some_and(|offset_m| offset_m != 0.0)
-    {
-        return Err(
-            node.refuse("targetLaneOffset is lateral: vehicles drive in the middle of a lane")
-        );
-    }
     let dynamics = TransitionDynamics::read(node.child("LaneChangeActionDynamics")?)?;
     let target = node.child("LaneChangeTarget")?.single()?;
     let lane = lane_number(target, "value")?;
@@ -66,6 +85,35 @@ pub(super) fn read_lane_change<'a>(
         node,
         dynamics,
         target,
+        offset_m: node.optional_number("targetLaneOffset")?.unwrap_or(0.0),
+    }))
+}
+
+/// Reads a change of the distance from the middle of the lane.
+pub(super) fn read_lane_offset<'a>(
+    node: Node<'a>,
+    entities: &[Entity<'_>],
+) -> Result<StoryAction<'a>> {
+    node.only(
+        &["LaneOffsetActionDynamics", "LaneOffsetTarget"],
+        &["continuous"],
+    )?;
+    let dynamics = node.child("LaneOffsetActionDynamics")?;
+    dynamics.only(&[], &["maxLateralAcc", "dynamicsShape"])?;
+    let target = node.child("LaneOffsetTarget")?.single()?;
+    target.only(&[], &["entityRef", "value"])?;
+    let reference = match target.name() {
+        "AbsoluteTargetLaneOffset" => None,
+        "RelativeTargetLaneOffset" => Some(entity_index(target, "entityRef", entities)?),
+        _ => return Err(target.refuse("is not supported as a target offset")),
+    };
+    Ok(StoryAction::LaneOffset(LaneOffsetAction {
+        node,
+        shape: dynamics.word("dynamicsShape")?,
+        max_mps2: dynamics.optional_non_negative("maxLateralAcc")?,
+        reference,
+        offset_m: target.number("value")?,
+        is_continuous: node.flag("continuous", false)?,
     }))
 }
 
@@ -80,192 +128,149 @@ pub(super) fn lane_number(node: Node<'_>, name: &str) -> Result<i32> {
     }
 }
 
-pub(super) fn read_trajectory<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
-    node.only(
-        &[
-            "Trajectory",
-            "TrajectoryRef",
-            "TimeReference",
-            "TrajectoryFollowingMode",
-        ],
-        &[],
-    )?;
-    let polyline = read_polyline(node.optional("TrajectoryRef").unwrap_or(node))?;
-    let timing = TrajectoryTiming::read(node.child("TimeReference")?.single()?)?;
-    let mut vertices: Vec<(f64, Node<'a>)> = Vec::new();
-    for vertex in polyline.children() {
-        vertex.only(&["Position"], &["time"])?;
-        let time_s = vertex.number("time")? * timing.scale + timing.offset_s;
-        if vertices
-            .last()
-            .is_some_and(|(before_s, _)| *before_s >= time_s)
-        {
-            return Err(vertex.refuse("times of vertices must increase"));
-        }
-        vertices.push((time_s, vertex.child("Position")?.single()?));
-    }
-    Ok(StoryAction::Trajectory(TrajectoryAction {
-        node,
-        vertices,
-        is_relative: timing.is_relative,
-    }))
-}
-
-/// Returns the polyline of the trajectory in `holder`.
-fn read_polyline<'a>(holder: Node<'a>) -> Result<Node<'a>> {
-    let trajectory = holder.child("Trajectory")?;
-    trajectory.only(&["ParameterDeclarations", "Shape"], &["name", "closed"])?;
-    if trajectory.flag("closed", false)? {
-        return Err(trajectory.refuse("a closed trajectory is not supported"));
-    }
-    let shape = trajectory.child("Shape")?.single()?;
-    if shape.name() == "Polyline" {
-        Ok(shape)
-    } else {
-        Err(shape.refuse("is not supported as a shape, only Polyline"))
-    }
-}
-
-/// Meaning of the times of a trajectory.
-struct TrajectoryTiming {
-    is_relative: bool,
-    scale: f64,
-    offset_s: f64,
-}
-
-impl TrajectoryTiming {
-    fn read(timing: Node<'_>) -> Result<Self> {
-        if timing.name() != "Timing" {
-            return Err(timing.refuse("a trajectory must have times"));
-        }
-        timing.only(&[], &["domainAbsoluteRelative", "scale", "offset"])?;
-        timing.expect("domainAbsoluteRelative", &["absolute", "relative"])?;
-        Ok(Self {
-            is_relative: timing.text("domainAbsoluteRelative")? == "relative",
-            scale: timing.number("scale")?,
-            offset_s: timing.number("offset")?,
-        })
-    }
-}
-
-impl LaneChangeAction<'_> {
-    /// Returns the time that an entity needs for a lateral distance.
-    fn duration_s(&self, motion: &EntityMotion<'_>, distance_m: f64, start_s: f64) -> Result<f64> {
-        if motion.is_controlled {
-            return Err(self
-                .node
-                .refuse("an entity with a controller must keep its lane"));
-        }
-        let duration_s = self.dynamics.duration_s(distance_m, |along_m| {
-            motion.plan.travel_time_s(start_s, along_m)
-        });
-        if !duration_s.is_finite() || duration_s > MAX_DURATION_S {
-            return Err(self.node.refuse(format!(
-                "the lane change takes longer than {MAX_DURATION_S} s"
-            )));
-        }
-        Ok(duration_s)
-    }
-}
-
-impl TransitionDynamics {
-    /// Returns the share of the time of a lane change after which the entity has moved `moved_m` of `distance_m`.
-    fn share_at(self, moved_m: f64, distance_m: f64) -> f64 {
-        if self.shape == TransitionShape::Step || distance_m == 0.0 {
-            0.0
-        } else {
-            self.share_until((moved_m / distance_m).clamp(0.0, 1.0))
-        }
-    }
+/// Reads a route or a destination: a vehicle that follows its lane needs none.
+pub(super) fn read_route<'a>(node: Node<'a>, _entities: &[Entity<'_>]) -> Result<StoryAction<'a>> {
+    node.only(&["Route", "Position"], &[])?;
+    node.single()?;
+    Ok(StoryAction::Route(node))
 }
 
 impl<'a> Replay<'a, '_> {
-    /// Returns the vertices until the entity would leave its lane, which is an error.
-    pub(super) fn trajectory_vertices(
-        &mut self,
-        action: &TrajectoryAction<'a>,
-        actor: usize,
-        start_s: f64,
-    ) -> Result<Vec<PathVertex>> {
-        take_samples(action.node, action.vertices.len(), &mut self.samples_left)?;
-        self.work
-            .spend(action.node, WORK_PER_SAMPLE * action.vertices.len() as u64)?;
-        let Some(motion) = self.motion.get(actor) else {
-            return Ok(Vec::new());
-        };
-        let shift_s = if action.is_relative { start_s } else { 0.0 };
-        let mut vertices = Vec::new();
-        for (time_s, node) in &action.vertices {
-            let position = resolve_place(*node, &[], self.entities, self.roads)?;
-            let position =
-                position.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
-            if position.road != self.road_id || position.lane != motion.lane {
-                return Err(node.refuse("the trajectory leaves the lane"));
-            }
-            vertices.push(PathVertex {
-                time_s: shift_s + time_s,
-                position_m: position.along_m,
-            });
-        }
-        let Some(first) = vertices.first() else {
-            return Err(action.node.refuse("has no vertices"));
-        };
-        let from_m = motion.plan.at(first.time_s).position_m;
-        if first.time_s < start_s - 1e-9 || (first.position_m - from_m).abs() > START_TOLERANCE_M {
-            let [first_s, first_m, from_m, start_s] =
-                [first.time_s, first.position_m, from_m, start_s].map(format_number);
-            return Err(action.node.refuse(format!(
-                "starts at {first_s} s and {first_m} m, but the entity is at {from_m} m, and the action starts at \
-                 {start_s} s"
-            )));
-        }
-        Ok(vertices)
-    }
-
-    /// Starts a lane change of an entity, and returns its end.
+    /// Starts a lane change of an entity, and returns its goal.
     pub(super) fn change_lane(
         &mut self,
         change: &LaneChangeAction<'a>,
         actor: usize,
         start: Firing,
-    ) -> Result<f64> {
-        let road = self
-            .roads
-            .find(change.node, Some(&self.road_id), [0.0; 2])?;
-        let from = self.lane(actor);
+    ) -> Result<ActionGoal> {
+        let road = self.road.clone();
         let to = match change.target {
             LaneTarget::Absolute(lane) => lane,
-            LaneTarget::Relative(entity, by) => road.shifted_lane(self.lane(entity), by),
+            LaneTarget::Relative(entity, by) => {
+                let lane = self.lane(change.node, entity, start.time_s)?;
+                road.shifted_lane(lane, by, self.direction(entity))
+            }
         };
-        let [distance_m, to_width_m] = road.lane_distance_m(change.node, from, to)?;
-        let [_, from_width_m] = road.lane_distance_m(change.node, to, from)?;
-        let half_width_m = self
-            .entities
-            .get(actor)
-            .map_or(0.0, |entity| entity.width_m / 2.0);
-        let Some(motion) = self.motion.get_mut(actor) else {
-            return Ok(start.time_s);
+        let middle_m = road.lane_middle_m(change.node, to)?;
+        let to_m = middle_m + self.direction(actor) * change.offset_m;
+        let from_m = self.lateral_m(actor, start.time_s);
+        let extent = match change.dynamics.duration_s(to_m - from_m) {
+            Some(duration_s) if duration_s <= MAX_DURATION_S => LateralExtent::Time(duration_s),
+            Some(_) => {
+                return Err(change.node.refuse(format!(
+                    "the lane change takes longer than {MAX_DURATION_S} s"
+                )));
+            }
+            None => LateralExtent::Distance {
+                from_m: self.position_m(actor, start.time_s),
+                length_m: change.dynamics.value,
+            },
         };
-        let duration_s = change.duration_s(motion, distance_m, start.time_s)?;
-        if from != to {
-            let crossings_m = [
-                distance_m - to_width_m / 2.0 - half_width_m,
-                from_width_m / 2.0 + half_width_m,
-            ];
-            motion.lane_changes.push(LaneChangeTimes {
-                node: change.node,
-                lanes: [from, to],
-                crossings_s: crossings_m.map(|moved_m| {
-                    start.time_s + duration_s * change.dynamics.share_at(moved_m, distance_m)
-                }),
-                depends_on_controller: start.depends_on_controller,
-            });
-        }
-        motion.lane = to;
-        Ok(start.time_s + duration_s)
+        let shape = change.dynamics.shape;
+        self.move_laterally(change.node, actor, start, [from_m, to_m], (shape, extent))
     }
 
-    fn lane(&self, entity: usize) -> i32 {
-        self.motion.get(entity).map_or(0, |motion| motion.lane)
+    /// Starts a change of the distance from the middle of the lane, and returns its goal.
+    pub(super) fn change_offset(
+        &mut self,
+        offset: &LaneOffsetAction<'a>,
+        actor: usize,
+        start: Firing,
+    ) -> Result<ActionGoal> {
+        let to_m = self.offset_goal_m(offset, actor, start.time_s)?;
+        let from_m = self.lateral_m(actor, start.time_s);
+        let duration_s = offset.duration_s(to_m - from_m)?;
+        let movement = (offset.shape, LateralExtent::Time(duration_s));
+        let goal = self.move_laterally(offset.node, actor, start, [from_m, to_m], movement)?;
+        let end_s = if offset.is_continuous {
+            f64::INFINITY
+        } else {
+            start.time_s + duration_s
+        };
+        if let Some(reference) = offset.reference {
+            let (entities, times_s) = ([actor, reference], [start.time_s, end_s]);
+            self.follow_entity(offset.node, entities, ActionDomains::LATERAL, times_s);
+        }
+        Ok(if offset.is_continuous {
+            ActionGoal::Time(end_s)
+        } else {
+            goal
+        })
+    }
+
+    /// Returns the lateral position at which an offset ends.
+    fn offset_goal_m(
+        &self,
+        offset: &LaneOffsetAction<'a>,
+        actor: usize,
+        time_s: f64,
+    ) -> Result<f64> {
+        let reference_m = match offset.reference {
+            Some(entity) => self.lateral_m(entity, time_s),
+            None => {
+                let lane = self.lane(offset.node, actor, time_s)?;
+                self.road.lane_middle_m(offset.node, lane)?
+            }
+        };
+        Ok(reference_m + self.direction(actor) * offset.offset_m)
+    }
+
+    fn move_laterally(
+        &mut self,
+        node: Node<'a>,
+        actor: usize,
+        start: Firing,
+        [from_m, to_m]: [f64; 2],
+        (shape, extent): (TransitionShape, LateralExtent),
+    ) -> Result<ActionGoal> {
+        take_samples(node, 1, &mut self.samples_left)?;
+        if let Some(motion) = self.motion.get_mut(actor) {
+            if motion.is_controlled {
+                return Err(node.refuse("an entity with a controller must keep its lane"));
+            }
+            let step = LateralMove {
+                node,
+                start_s: start.time_s,
+                from_m,
+                to_m,
+                shape,
+                extent,
+                depends_on_controller: start.depends_on_controller,
+                cut_s: None,
+            };
+            let moves = std::iter::once(step);
+            motion.lateral.replace(start.time_s, moves, &motion.plan);
+        }
+        Ok(ActionGoal::LateralMove)
+    }
+
+    /// Refuses a route with a waypoint in another lane.
+    pub(super) fn follow_route(&mut self, node: Node<'a>, actor: usize) -> Result<()> {
+        let lane = self.lane(node, actor, self.now_s)?;
+        let places = self.places(self.now_s);
+        let route = node.optional("Route");
+        let waypoints = route.into_iter().flat_map(|route| route.named("Waypoint"));
+        let holders = waypoints.chain([node]);
+        for position in holders.filter_map(|holder| holder.optional("Position")) {
+            self.work.spend(node, WORK_PER_SAMPLE)?;
+            let position = position.single()?;
+            let purpose = PlacePurpose::Lane;
+            let lane_place = resolve_place(position, &places, self.entities, self.roads, purpose);
+            let stays = matches!(&lane_place, Ok(Some(LanePlace { road, lateral_m, .. }))
+                if *road == self.road_id && self.road.lane_at(*lateral_m) == Some(lane));
+            if !stays {
+                return Err(position.refuse("the route leaves the lane"));
+            }
+        }
+        self.note_once(Some(
+            node.note("has no influence: the route stays in the lane"),
+        ));
+        Ok(())
+    }
+
+    /// Returns the lane in which the middle of an entity is.
+    fn lane(&self, node: Node<'_>, entity: usize, time_s: f64) -> Result<i32> {
+        let lane = self.road.lane_at(self.lateral_m(entity, time_s));
+        lane.ok_or_else(|| node.refuse("the entity is beside the lanes of the road"))
     }
 }

@@ -1,35 +1,44 @@
-//! Replay of the storyboard: motion and lane changes of all entities up to the stop trigger.
+//! Replay of the storyboard: motion of all entities up to the stop trigger, as `interpreter` lets the elements run.
 //!
 //! Controlled entities keep their speed. What depends on their motion is marked.
 
+use super::constructs::ActionDomains;
+use super::element::StoryElement;
 use super::entities::Entity;
 use super::error::ScenarioImportError;
-use super::initial::InitialState;
-use super::limits::{ConditionCount, MAX_SAMPLES, WorkBudget};
-use super::road::{LanePlace, RoadMap};
-use super::speed_plan::{PathVertex, SpeedPlan, take_samples};
-use super::storyboard::{SpeedAction, StoryAction, StoryEvent, StoryTriggers};
-use super::trigger::{Firing, Trigger};
+use super::initial::{InitialAction, InitialControl, InitialState};
+use super::interpreter::ActiveAction;
+use super::lateral::LateralPlan;
+use super::limits::{MAX_SAMPLES, WORK_PER_SAMPLE, WorkBudget};
+use super::road::{LanePlace, RoadMap, StraightRoad};
+use super::speed_plan::{SpeedPlan, TransitionDynamics, take_samples};
+use super::storyboard::{SpeedAction, StoryAction};
+use super::trajectory::PathVertex;
+use super::trigger::Firing;
+use super::variables::StoryVariables;
+use super::vocabulary::TransitionDimension;
 use super::xml::Node;
+use crumple_core::digits::format_fixed;
+use std::collections::BTreeSet;
+use std::rc::Rc;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Step of the replay, in seconds: that of a scenario by default.
 pub(super) const REPLAY_STEP_S: f64 = crumple_sim::scenario::PAPER_STEP_S;
-/// Maximum duration, in seconds.
-pub(super) const MAX_DURATION_S: f64 = 3600.0;
-/// Number of steps for which the work is computed together.
-const STEPS_PER_CHECK: usize = 100;
+/// Acceleration that a body without limits can drive, in m/s².
+const UNSTATED_LIMIT_MPS2: f64 = 8.0;
 
 /// Motion of one entity.
 pub(super) struct EntityMotion<'a> {
     pub(super) plan: SpeedPlan,
+    pub(super) lateral: LateralPlan<'a>,
+    /// 1 for travel in the direction of the road, and -1 against it.
+    pub(super) direction: f64,
     /// True if a speed profile or a trajectory made the plan.
     pub(super) is_recorded: bool,
     /// True if a trajectory made the plan.
     pub(super) follows_path: bool,
-    pub(super) lane: i32,
-    pub(super) lane_changes: Vec<LaneChangeTimes<'a>>,
     pub(super) activated_s: Option<f64>,
     pub(super) is_controlled: bool,
     /// Start times of actions on the speed; its controller replaces those of a controlled entity.
@@ -38,13 +47,13 @@ pub(super) struct EntityMotion<'a> {
 
 impl<'a> EntityMotion<'a> {
     /// Returns the motion at a constant speed from a place.
-    fn constant(position: &LanePlace, speed_mps: f64) -> Self {
+    fn constant(lane_place: &LanePlace, speed_mps: f64) -> Self {
         Self {
-            plan: SpeedPlan::constant(position.along_m, speed_mps),
+            plan: SpeedPlan::constant(lane_place.direction * lane_place.road_m, speed_mps),
+            lateral: LateralPlan::constant(lane_place.lateral_m),
+            direction: lane_place.direction,
             is_recorded: false,
             follows_path: false,
-            lane: position.lane,
-            lane_changes: Vec::new(),
             activated_s: None,
             is_controlled: false,
             actions: Vec::new(),
@@ -61,30 +70,6 @@ impl<'a> EntityMotion<'a> {
         work_per_knot * self.plan.knots().len() as u64
     }
 
-    /// Changes the plan by an action, and returns the end of the action.
-    fn change_plan(
-        &mut self,
-        event: Node<'a>,
-        action: &StoryAction<'a>,
-        start_s: f64,
-        inputs: &ActionInputs,
-        samples_left: &mut usize,
-    ) -> Result<f64> {
-        match action {
-            StoryAction::Speed(speed) => {
-                let to_mps = speed.target.speed_mps(speed.node, inputs.reference_mps)?;
-                self.plan
-                    .change_speed(speed.node, start_s, to_mps, speed.dynamics, samples_left)
-            }
-            StoryAction::SpeedProfile(entries) => {
-                take_samples(event, entries.len(), samples_left)?;
-                Ok(self.follow_profile(entries, start_s))
-            }
-            StoryAction::Trajectory(_) => Ok(self.follow_trajectory(&inputs.vertices, start_s)),
-            StoryAction::LaneChange(_) | StoryAction::Activate => Ok(start_s),
-        }
-    }
-
     /// Follows pairs of a time after the previous entry and a speed, and returns the end.
     fn follow_profile(&mut self, entries: &[(f64, f64)], start_s: f64) -> f64 {
         self.is_recorded = true;
@@ -97,14 +82,6 @@ impl<'a> EntityMotion<'a> {
         time_s
     }
 
-    /// Follows the vertices of a trajectory, and returns the end.
-    fn follow_trajectory(&mut self, vertices: &[PathVertex], start_s: f64) -> f64 {
-        self.is_recorded = true;
-        self.follows_path = true;
-        self.plan.follow(vertices);
-        vertices.last().map_or(start_s, |vertex| vertex.time_s)
-    }
-
     /// Returns the last action on the speed that starts before a time.
     pub(super) fn action(&self, time_s: f64) -> Option<Node<'a>> {
         self.actions
@@ -114,101 +91,154 @@ impl<'a> EntityMotion<'a> {
     }
 }
 
-/// Positions and speeds on which an action depends.
-#[derive(Default)]
-struct ActionInputs {
-    /// Vertices of a trajectory.
-    vertices: Vec<PathVertex>,
-    /// Speed to which a target speed is relative.
-    reference_mps: f64,
+/// A change of the speed by an action.
+enum PlanChange<'p> {
+    /// To a speed in m/s, within the limits of the vehicle.
+    Speed(f64, TransitionDynamics),
+    Profile(&'p [(f64, f64)]),
+    Trajectory(Vec<PathVertex>),
+    None,
 }
 
-/// A lane change.
-pub(super) struct LaneChangeTimes<'a> {
-    pub(super) node: Node<'a>,
-    pub(super) lanes: [i32; 2],
-    /// Time at which the body first overlaps the new lane, and at which it has left the old one.
-    pub(super) crossings_s: [f64; 2],
-    pub(super) depends_on_controller: bool,
-}
-
-/// Triggers of a replay.
-struct ReplayTriggers<'a> {
-    story: StoryTriggers<'a>,
-    /// Starts of the acts; `None` for one that has not started.
-    act_starts: Vec<Option<Firing>>,
-    stop: Trigger<'a>,
+/// A time during which an entity keeps its speed or its lateral position relative to another one.
+struct Following<'a> {
+    node: Node<'a>,
+    actor: usize,
+    reference: usize,
+    domain: ActionDomains,
+    start_s: f64,
+    end_s: f64,
 }
 
 pub(super) struct Replay<'a, 'b> {
     pub(super) entities: &'b [Entity<'a>],
     pub(super) motion: Vec<EntityMotion<'a>>,
-    pub(super) events: Vec<StoryEvent<'a>>,
+    pub(super) elements: Vec<StoryElement<'a>>,
+    pub(super) active: Vec<ActiveAction>,
+    pub(super) variables: StoryVariables,
+    /// Entities that actions of `Init` control, with the domains of each.
+    pub(super) initial_controls: Vec<(usize, ActionDomains)>,
+    /// Entities that follow another one.
+    followings: Vec<Following<'a>>,
     pub(super) roads: &'b RoadMap<'b>,
+    pub(super) road: Rc<StraightRoad>,
     pub(super) road_id: String,
+    pub(super) friction: f64,
     pub(super) notes: Vec<String>,
+    /// Notes of the replay, each of which is added once.
+    noted: BTreeSet<String>,
     pub(super) work: &'b WorkBudget,
     pub(super) samples_left: usize,
-    now_s: f64,
+    /// Number of transitions so far, and before this step.
+    pub(super) serials: [u64; 2],
+    pub(super) now_s: f64,
+    /// Time at which the scenario has ended; infinite if that depends on more than the time.
+    pub(super) latest_stop_s: f64,
+}
+
+/// The parts of a file from which a replay begins.
+pub(super) struct ReplayStart<'a> {
+    pub(super) initial: InitialState<'a>,
+    pub(super) elements: Vec<StoryElement<'a>>,
+    pub(super) variables: StoryVariables,
+    /// True for entities with a controller.
+    pub(super) is_controlled: Vec<bool>,
+}
+
+/// Returns the motion of all entities at constant speed from their initial state.
+fn initial_motion<'a>(initial: &InitialState<'a>, is_controlled: &[bool]) -> Vec<EntityMotion<'a>> {
+    let states = initial.places.iter().zip(&initial.speeds_mps);
+    let mut motion: Vec<EntityMotion<'a>> = states
+        .map(|(position, speed_mps)| EntityMotion::constant(position, speed_mps.unwrap_or(0.0)))
+        .collect();
+    let control = is_controlled.iter().zip(&initial.is_active);
+    for (motion, (&is_controlled, &is_active)) in motion.iter_mut().zip(control) {
+        motion.is_controlled = is_controlled;
+        motion.activated_s = is_active.then_some(0.0);
+    }
+    motion
 }
 
 impl<'a, 'b> Replay<'a, 'b> {
     /// Creates a replay at the initial state, with the transitions of the speed that begin with it.
     pub(super) fn new(
         entities: &'b [Entity<'a>],
-        initial: InitialState<'a>,
-        is_controlled: &[bool],
-        events: Vec<StoryEvent<'a>>,
+        start: ReplayStart<'a>,
         roads: &'b RoadMap<'b>,
         work: &'b WorkBudget,
+        storyboard: Node<'a>,
     ) -> Result<Self> {
-        let states = initial.places.iter().zip(&initial.speeds_mps);
-        let mut motion: Vec<EntityMotion<'a>> = states
-            .map(|(place, speed_mps)| EntityMotion::constant(place, speed_mps.unwrap_or(0.0)))
-            .collect();
-        let control = is_controlled.iter().zip(&initial.is_active);
-        for (motion, (&is_controlled, &is_active)) in motion.iter_mut().zip(control) {
-            motion.is_controlled = is_controlled;
-            motion.activated_s = is_active.then_some(0.0);
-        }
-        let road_id = initial.places.first().map(|position| position.road.clone());
+        let initial = start.initial;
+        let motion = initial_motion(&initial, &start.is_controlled);
+        let road_id = initial
+            .places
+            .first()
+            .map(|lane_place| lane_place.road.clone());
+        let road_id = road_id.ok_or_else(|| storyboard.refuse("has no entity"))?;
         let mut replay = Self {
             entities,
             motion,
-            events,
+            elements: start.elements,
+            active: Vec::new(),
+            variables: start.variables,
+            initial_controls: Vec::new(),
+            followings: Vec::new(),
             roads,
-            road_id: road_id.unwrap_or_default(),
+            road: roads.find(storyboard, Some(&road_id), [0.0; 2])?,
+            road_id,
+            friction: initial.friction,
             notes: initial.notes,
+            noted: BTreeSet::new(),
             work,
             samples_left: MAX_SAMPLES,
+            serials: [0; 2],
             now_s: 0.0,
+            latest_stop_s: f64::INFINITY,
         };
-        for (entity, action) in initial.transitions {
-            replay.start_initial_transition(entity, &action)?;
-        }
+        replay.start_initial_actions(initial.actions)?;
         Ok(replay)
+    }
+
+    /// Starts the actions of `Init` that go on after the start.
+    fn start_initial_actions(&mut self, actions: Vec<(usize, InitialAction<'a>)>) -> Result<()> {
+        for (entity, action) in actions {
+            match action {
+                InitialAction::Continuous(speed) => {
+                    let note = self.constant_speed_note(&StoryAction::Speed(speed));
+                    self.notes.extend(note);
+                    self.follow_speed(entity, &speed, 0.0);
+                }
+                InitialAction::Route(route) => self.follow_route(route, entity)?,
+                InitialAction::Transition(speed) => {
+                    self.start_initial_transition(entity, &speed)?;
+                }
+                InitialAction::Control(control) => {
+                    let InitialControl {
+                        node,
+                        action,
+                        domains,
+                    } = control;
+                    let start = Firing::at(0.0);
+                    self.stop_initial_controls(node, entity, domains, start)?;
+                    self.begin_action(node, entity, &action, start)?;
+                    self.initial_controls.push((entity, domains));
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Starts a transition of the speed with the scenario.
     fn start_initial_transition(&mut self, entity: usize, action: &SpeedAction<'a>) -> Result<()> {
-        let reference_mps = self.reference_mps(action, 0.0);
-        let to_mps = action.target.speed_mps(action.node, reference_mps)?;
-        let Some(motion) = self.motion.get_mut(entity) else {
-            return Ok(());
-        };
-        if motion.is_controlled {
-            return Err(action
-                .node
-                .refuse("the initial speed of a controlled entity must be a step"));
+        if !self.is_controlled(entity) {
+            let start = Firing::at(0.0);
+            return self
+                .change_plan(action.node, entity, &StoryAction::Speed(*action), start)
+                .map(drop);
         }
-        motion.actions.push((0.0, action.node));
-        motion.plan.change_speed(
-            action.node,
-            0.0,
-            to_mps,
-            action.dynamics,
-            &mut self.samples_left,
-        )?;
+        if let Some(motion) = self.motion.get_mut(entity) {
+            motion.actions.push((0.0, action.node));
+        }
         Ok(())
     }
 
@@ -220,219 +250,265 @@ impl<'a, 'b> Replay<'a, 'b> {
             .map_or(0.0, |entity| self.speed_mps(entity, time_s))
     }
 
-    /// Replays until the stop trigger fires.
-    pub(super) fn run(
-        &mut self,
-        triggers: StoryTriggers<'a>,
-        mut conditions: ConditionCount,
-        storyboard: Node<'a>,
-    ) -> Result<Firing> {
-        let stop = storyboard
-            .optional("StopTrigger")
-            .filter(|stop| stop.children().next().is_some());
-        let stop = stop.ok_or_else(|| {
-            storyboard.refuse("has no stop trigger, which determines the duration")
-        })?;
-        let mut triggers = ReplayTriggers {
-            act_starts: vec![None; triggers.acts.len()],
-            story: triggers,
-            stop: Trigger::read(Some(stop), self.entities, &mut conditions)?,
-        };
-        let mut before_s = 0.0;
-        for step in 0..=(MAX_DURATION_S / REPLAY_STEP_S) as usize {
-            if step % STEPS_PER_CHECK == 0 {
-                let work = self.step_work(&triggers);
-                self.work.spend(storyboard, STEPS_PER_CHECK as u64 * work)?;
-            }
-            self.now_s = step as f64 * REPLAY_STEP_S;
-            self.start_acts(&mut triggers, before_s)?;
-            self.start_events(&mut triggers, before_s)?;
-            if let Some(firing) = triggers.stop.fires(self, before_s, self.now_s)? {
-                return Ok(firing);
-            }
-            before_s = self.now_s;
-        }
-        Err(stop.refuse(format!("does not fire within {MAX_DURATION_S} s")))
-    }
-
-    /// Starts the acts whose triggers fire in the step from `before_s`.
-    fn start_acts(&self, triggers: &mut ReplayTriggers<'a>, before_s: f64) -> Result<()> {
-        let acts = triggers.story.acts.iter_mut();
-        for (act, start) in acts
-            .zip(&mut triggers.act_starts)
-            .filter(|(_, start)| start.is_none())
-        {
-            *start = act.fires(self, before_s, self.now_s)?;
-        }
-        Ok(())
-    }
-
-    /// Starts the events of started acts whose triggers fire in the step from `before_s`.
-    fn start_events(&mut self, triggers: &mut ReplayTriggers<'a>, before_s: f64) -> Result<()> {
-        for (index, trigger) in triggers.story.events.iter_mut().enumerate() {
-            let waiting = self
-                .events
-                .get(index)
-                .filter(|event| event.start_s.is_none());
-            let act = waiting.and_then(|event| *triggers.act_starts.get(event.act)?);
-            let Some(act) = act else {
-                continue;
-            };
-            if let Some(event) = trigger.fires(self, before_s, self.now_s)? {
-                let start = Firing {
-                    time_s: event.time_s.max(act.time_s),
-                    depends_on_controller: event.depends_on_controller || act.depends_on_controller,
-                };
-                self.start_event(index, start)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Returns the work of a step, which evaluates the triggers of all acts and events that have not started.
-    fn step_work(&self, triggers: &ReplayTriggers<'a>) -> u64 {
-        let elements = self.events.iter().map(|event| 1 + event.actions.len());
-        let elements = elements.sum::<usize>() as u64;
-        let state_work = self
-            .motion
-            .iter()
-            .map(|motion| motion.plan.state_work())
-            .max()
-            .unwrap_or_default();
-        let acts = triggers.story.acts.iter().zip(&triggers.act_starts);
-        let acts = acts.filter(|(_, start)| start.is_none());
-        let events = triggers.story.events.iter().zip(&self.events);
-        let events = events.filter(|(_, event)| event.start_s.is_none());
-        let waiting = acts
-            .map(|(trigger, _)| trigger)
-            .chain(events.map(|(trigger, _)| trigger))
-            .chain([&triggers.stop]);
-        waiting
-            .map(|trigger| trigger.work(elements, state_work))
-            .sum::<u64>()
-            + self.events.len() as u64
-    }
-
-    fn start_event(&mut self, index: usize, start: Firing) -> Result<()> {
-        let Some(mut event) = self.events.get(index).cloned() else {
-            return Ok(());
-        };
-        let events = self.events.iter();
-        let size: usize = events
-            .map(|event| 5 + event.actors.len() + event.actions.len())
-            .sum();
-        self.work.spend(event.node, 5 * size as u64)?;
-        for (_, action) in &*event.actions {
-            let mut end_s = start.time_s;
-            for &actor in &event.actors {
-                end_s = self
-                    .start_action(event.node, actor, action, start)?
-                    .max(end_s);
-            }
-            event.action_ends_s.push(end_s);
-        }
-        let mut actions = event.actions.iter();
-        if actions.any(|(_, action)| action.changes_speed()) {
-            self.stop_earlier_actions(&event.actors, start.time_s);
-        }
-        event.start_s = Some(start.time_s);
-        event.depends_on_controller = start.depends_on_controller;
-        self.events
-            .get_mut(index)
-            .map(|slot| std::mem::replace(slot, event));
-        Ok(())
-    }
-
-    /// Ends the running actions that an action on the speed of the same entities replaces.
-    fn stop_earlier_actions(&mut self, actors: &[usize], time_s: f64) {
-        let mut is_actor = vec![false; self.entities.len()];
-        for actor in actors {
-            is_actor
-                .get_mut(*actor)
-                .map(|is_actor| std::mem::replace(is_actor, true));
-        }
-        for event in &mut self.events {
-            let mut actors = event.actors.iter();
-            if !actors.any(|actor| is_actor.get(*actor) == Some(&true)) {
-                continue;
-            }
-            for ((_, action), end_s) in event.actions.iter().zip(&mut event.action_ends_s) {
-                if action.changes_speed() {
-                    *end_s = end_s.min(time_s);
-                }
-            }
-        }
-    }
-
-    /// Starts an action of an entity, and returns its end.
-    fn start_action(
-        &mut self,
-        event: Node<'a>,
-        actor: usize,
-        action: &StoryAction<'a>,
-        start: Firing,
-    ) -> Result<f64> {
-        if let StoryAction::LaneChange(change) = action {
-            return self.change_lane(change, actor, start);
-        }
-        if action.changes_speed() && !self.is_controlled(actor) {
-            return self.change_plan(event, actor, action, start);
-        }
-        if let Some(motion) = self.motion.get_mut(actor) {
-            if let StoryAction::Activate = action {
-                let activated_s = motion.activated_s.unwrap_or(start.time_s);
-                motion.activated_s = Some(activated_s.min(start.time_s));
-            } else {
-                motion.actions.push((start.time_s, event));
-            }
-        }
-        Ok(start.time_s)
-    }
-
     /// Changes the speeds of a scripted entity by an action, and returns the end of the action.
-    fn change_plan(
+    pub(super) fn change_plan(
         &mut self,
         event: Node<'a>,
         actor: usize,
         action: &StoryAction<'a>,
         start: Firing,
     ) -> Result<f64> {
-        let inputs = self.action_inputs(action, actor, start.time_s)?;
+        let change = self.plan_change(actor, action, start.time_s)?;
         let Some(motion) = self.motion.get_mut(actor) else {
             return Ok(start.time_s);
         };
         let work = motion.change_work(start.depends_on_controller);
         self.work.spend(event, work)?;
         let plan_before = start.depends_on_controller.then(|| motion.plan.clone());
-        let samples_left = &mut self.samples_left;
-        let end_s = motion.change_plan(event, action, start.time_s, &inputs, samples_left)?;
         let node = action.node().unwrap_or(event);
         motion.actions.push((start.time_s, node));
-        if plan_before.is_some_and(|before| motion.plan.differs_from(&before)) {
-            return Err(node.refuse(
-                "depends on an entity with a controller: scripts depend only on the time",
-            ));
+        let end_s = self.apply(node, actor, action, change, start.time_s)?;
+        if let Some(before) = plan_before {
+            self.note_dependence(node, actor, &before);
         }
-        self.notes.extend(self.constant_speed_note(action));
-        Ok(end_s)
+        let note = self.constant_speed_note(action);
+        self.note_once(note);
+        match action {
+            StoryAction::Speed(speed) if speed.target.is_continuous => {
+                self.follow_speed(actor, speed, start.time_s);
+                Ok(f64::INFINITY)
+            }
+            _ => Ok(end_s),
+        }
     }
 
-    /// Returns the positions and speeds on which an action depends.
-    fn action_inputs(
+    /// Returns the change of the speed of an entity by an action.
+    fn plan_change<'p>(
         &mut self,
-        action: &StoryAction<'a>,
+        actor: usize,
+        action: &'p StoryAction<'a>,
+        start_s: f64,
+    ) -> Result<PlanChange<'p>> {
+        match action {
+            StoryAction::Speed(speed) => self.speed_change(speed, actor, start_s),
+            StoryAction::SpeedProfile(profile) => {
+                if profile.is_loose {
+                    let text = "the mode `follow` leaves the motion open: the speeds are those of the profile";
+                    self.note_once(Some(profile.node.note(text)));
+                }
+                Ok(PlanChange::Profile(&profile.entries))
+            }
+            StoryAction::Trajectory(trajectory) => {
+                let vertices = self.trajectory_vertices(trajectory, actor, start_s)?;
+                Ok(PlanChange::Trajectory(vertices))
+            }
+            _ => Ok(PlanChange::None),
+        }
+    }
+
+    /// Returns the change of a speed action, within the limits of the vehicle.
+    fn speed_change<'p>(
+        &mut self,
+        speed: &SpeedAction<'a>,
         actor: usize,
         start_s: f64,
-    ) -> Result<ActionInputs> {
-        let mut inputs = ActionInputs::default();
-        match action {
-            StoryAction::Speed(speed) => inputs.reference_mps = self.reference_mps(speed, start_s),
-            StoryAction::Trajectory(trajectory) => {
-                inputs.vertices = self.trajectory_vertices(trajectory, actor, start_s)?;
-            }
-            StoryAction::SpeedProfile(_) | StoryAction::LaneChange(_) | StoryAction::Activate => {}
+    ) -> Result<PlanChange<'p>> {
+        let reference_mps = self.reference_mps(speed, start_s);
+        let to_mps = speed.target.speed_mps(speed.node, reference_mps)?;
+        let change_mps = to_mps - self.speed_mps(actor, start_s);
+        let [brake_mps2, accel_mps2] = self.limits_mps2(actor);
+        let limit_mps2 = if change_mps < 0.0 {
+            brake_mps2
+        } else {
+            accel_mps2
+        };
+        let mut dynamics = speed.dynamics;
+        if dynamics.limit(change_mps, limit_mps2) {
+            self.note_limit(speed.node, dynamics, [brake_mps2, accel_mps2]);
         }
-        Ok(inputs)
+        if dynamics.duration_s(change_mps) == Some(f64::INFINITY) {
+            let text = "at a rate of 0 the speed never changes: the action has no end";
+            self.note_once(Some(speed.node.note(text)));
+        }
+        Ok(PlanChange::Speed(to_mps, dynamics))
+    }
+
+    /// Applies a change to the plan of an entity, and returns its end.
+    fn apply(
+        &mut self,
+        node: Node<'a>,
+        actor: usize,
+        action: &StoryAction<'a>,
+        change: PlanChange<'_>,
+        start_s: f64,
+    ) -> Result<f64> {
+        let left = &mut self.samples_left;
+        let Some(motion) = self.motion.get_mut(actor) else {
+            return Ok(start_s);
+        };
+        match (change, action) {
+            (PlanChange::Speed(to_mps, dynamics), _) => motion
+                .plan
+                .change_speed(node, start_s, to_mps, dynamics, left),
+            (PlanChange::Profile(entries), _) => {
+                take_samples(node, entries.len(), left)?;
+                Ok(motion.follow_profile(entries, start_s))
+            }
+            (PlanChange::Trajectory(vertices), StoryAction::Trajectory(trajectory)) => {
+                Ok(self.follow_trajectory(trajectory, actor, &vertices))
+            }
+            (PlanChange::Trajectory(_) | PlanChange::None, _) => Ok(start_s),
+        }
+    }
+
+    /// Adds a note, unless an earlier execution of the same element has added it.
+    pub(super) fn note_once(&mut self, note: Option<String>) {
+        if let Some(note) = note
+            && self.noted.insert(note.clone())
+        {
+            self.notes.push(note);
+        }
+    }
+
+    /// Notes a change that the vehicle cannot drive as fast as stated.
+    fn note_limit(&mut self, node: Node<'a>, dynamics: TransitionDynamics, limits_mps2: [f64; 2]) {
+        let limited = match dynamics.dimension {
+            TransitionDimension::Time => {
+                let time = format_fixed(dynamics.value, 2);
+                format!("the change takes {time} s, because its rate")
+            }
+            _ => "the rate".to_owned(),
+        };
+        let limits = limits_mps2.map(|limit| format_fixed(limit, 1));
+        self.note_once(Some(node.note(format!(
+            "{limited} is limited to what the vehicle can drive: {} m/s² of braking, {} m/s² of acceleration",
+            limits[0], limits[1]
+        ))));
+    }
+
+    /// Lets an entity keep its speed relative to another one.
+    fn follow_speed(&mut self, actor: usize, action: &SpeedAction<'a>, start_s: f64) {
+        if let Some(reference) = action.target.reference {
+            let times_s = [start_s, f64::INFINITY];
+            let domain = ActionDomains::LONGITUDINAL;
+            self.follow_entity(action.node, [actor, reference], domain, times_s);
+        }
+    }
+
+    /// Lets the first entity follow the second one between two times.
+    pub(super) fn follow_entity(
+        &mut self,
+        node: Node<'a>,
+        [actor, reference]: [usize; 2],
+        domain: ActionDomains,
+        [start_s, end_s]: [f64; 2],
+    ) {
+        self.followings.push(Following {
+            node,
+            actor,
+            reference,
+            domain,
+            start_s,
+            end_s,
+        });
+    }
+
+    /// Ends what an entity follows in some domains.
+    pub(super) fn end_following(
+        &mut self,
+        node: Node<'a>,
+        actor: usize,
+        domains: ActionDomains,
+        time_s: f64,
+    ) -> Result<()> {
+        self.work.spend(node, self.followings.len() as u64)?;
+        for following in &mut self.followings {
+            if following.actor == actor && following.domain.overlaps(domains) {
+                following.end_s = following.end_s.min(time_s);
+            }
+        }
+        Ok(())
+    }
+
+    /// Refuses actions that follow an entity, if its speed or its lateral position changes meanwhile.
+    pub(super) fn check_followed(&self) -> Result<()> {
+        for following in &self.followings {
+            let Some(reference) = self.motion.get(following.reference) else {
+                continue;
+            };
+            let steps = reference.plan.knots().len() + reference.lateral.moves().len();
+            self.work
+                .spend(following.node, WORK_PER_SAMPLE * steps as u64)?;
+            let times_s = [following.start_s, following.end_s.min(self.now_s)];
+            let (changes, quantity) = if following.domain.overlaps(ActionDomains::LONGITUDINAL) {
+                (reference.plan.changes_between(times_s), "speed")
+            } else {
+                let changes = reference.lateral.changes_between(&reference.plan, times_s);
+                (changes, "lateral position")
+            };
+            if changes {
+                return Err(following.node.refuse(format!(
+                    "follows the {quantity} of an entity that changes: scripts depend only on the time"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes a change of a script at a time that depends on a controller.
+    fn note_dependence(&mut self, node: Node<'a>, actor: usize, before: &SpeedPlan) {
+        let motion = self.motion.get(actor);
+        if motion.is_some_and(|motion| motion.plan.differs_from(before)) {
+            self.note_once(Some(node.note(
+                "depends on an entity with a controller: its time is that of an entity that keeps its speed",
+            )));
+        }
+    }
+
+    /// Returns the largest braking and acceleration of an entity.
+    pub(super) fn limits_mps2(&self, entity: usize) -> [f64; 2] {
+        let limits = self.entities.get(entity).map_or([None; 2], |body| {
+            [
+                body.max_brake_mps2.map(|limit| limit * self.friction),
+                body.max_accel_mps2,
+            ]
+        });
+        limits.map(|limit| {
+            limit
+                .filter(|limit| *limit > 0.0)
+                .unwrap_or(UNSTATED_LIMIT_MPS2)
+        })
+    }
+
+    /// Keeps the speed or the lateral position of an entity from a time on, because its action has ended early.
+    pub(super) fn hold(
+        &mut self,
+        node: Node<'a>,
+        actor: usize,
+        domains: ActionDomains,
+        stop: Firing,
+    ) -> Result<()> {
+        self.end_following(node, actor, domains, stop.time_s)?;
+        let Some(motion) = self.motion.get_mut(actor) else {
+            return Ok(());
+        };
+        if motion.is_controlled {
+            return Ok(());
+        }
+        if domains.overlaps(ActionDomains::LATERAL) {
+            motion.lateral.cut(stop.time_s, &motion.plan);
+        }
+        if domains.overlaps(ActionDomains::LONGITUDINAL) {
+            self.work
+                .spend(node, motion.change_work(stop.depends_on_controller))?;
+            let before = stop.depends_on_controller.then(|| motion.plan.clone());
+            motion.plan.cut(stop.time_s);
+            motion.actions.push((stop.time_s, node));
+            if let Some(before) = before {
+                self.note_dependence(node, actor, &before);
+            }
+        }
+        Ok(())
     }
 
     /// Returns a note if the target of an action is relative to the speed of a controlled entity.

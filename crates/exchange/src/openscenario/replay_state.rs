@@ -1,15 +1,8 @@
 //! State of the replay that conditions read, and the scripts that follow from it.
 
 use super::replay::{EntityMotion, Replay};
-use super::storyboard::StoryEvent;
+use super::road::LanePlace;
 use crumple_sim::scenario::{Brake, BrakeToSpeed, LeadProfile, RecordedSpeeds};
-
-/// Start and end of an element of the storyboard, if they were reached.
-pub(super) struct ElementTimes {
-    pub(super) start_s: Option<f64>,
-    pub(super) end_s: Option<f64>,
-    pub(super) depends_on_controller: bool,
-}
 
 impl Replay<'_, '_> {
     pub(super) fn speed_mps(&self, entity: usize, time_s: f64) -> f64 {
@@ -18,11 +11,49 @@ impl Replay<'_, '_> {
             .map_or(0.0, |motion| motion.plan.at(time_s).speed_mps)
     }
 
-    /// Returns the position of the reference point along the road, in metres.
+    /// Returns the position of the reference point in the direction of travel, in metres.
     pub(super) fn position_m(&self, entity: usize, time_s: f64) -> f64 {
         self.motion
             .get(entity)
             .map_or(0.0, |motion| motion.plan.at(time_s).position_m)
+    }
+
+    /// Returns the position of the reference point in the direction of the road, in metres.
+    pub(super) fn road_m(&self, entity: usize, time_s: f64) -> f64 {
+        self.direction(entity) * self.position_m(entity, time_s)
+    }
+
+    /// Returns the position to the left of the road's direction, in metres.
+    pub(super) fn lateral_m(&self, entity: usize, time_s: f64) -> f64 {
+        self.motion
+            .get(entity)
+            .map_or(0.0, |motion| motion.lateral.at(time_s, &motion.plan))
+    }
+
+    /// Returns 1 for an entity that travels in the direction of the road, otherwise -1.
+    pub(super) fn direction(&self, entity: usize) -> f64 {
+        self.motion
+            .get(entity)
+            .map_or(1.0, |motion| motion.direction)
+    }
+
+    /// Returns the places of all entities.
+    pub(super) fn places(&self, time_s: f64) -> Vec<Option<LanePlace>> {
+        (0..self.motion.len())
+            .map(|entity| {
+                Some(LanePlace {
+                    road: self.road_id.clone(),
+                    road_m: self.road_m(entity, time_s),
+                    lateral_m: self.lateral_m(entity, time_s),
+                    direction: self.direction(entity),
+                })
+            })
+            .collect()
+    }
+
+    /// Returns true if the reference point is beyond an end of the road.
+    pub(super) fn is_beyond_road(&self, entity: usize, time_s: f64) -> bool {
+        !self.road.contains_m(self.road_m(entity, time_s))
     }
 
     /// Returns the distance of the front and of the rear bumper from the reference point, in metres.
@@ -32,52 +63,11 @@ impl Replay<'_, '_> {
         })
     }
 
-    /// Returns the times of an element of the storyboard; `None` if there is no such element.
-    pub(super) fn element_times(&self, kind: &str, name: &str) -> Option<ElementTimes> {
-        if kind == "action" {
-            return self.events.iter().find_map(|event| {
-                let index = event
-                    .actions
-                    .iter()
-                    .position(|(action, _)| action == name)?;
-                Some(ElementTimes {
-                    start_s: event.start_s,
-                    end_s: event.action_ends_s.get(index).copied(),
-                    depends_on_controller: event.depends_on_controller,
-                })
-            });
-        }
-        let events = self.events.iter();
-        let inside: Vec<_> = events.filter(|event| event.is_inside(kind, name)).collect();
-        let starts_s = inside.iter().filter_map(|event| event.start_s);
-        let ends_s = inside.iter().map(|event| event.end_s());
-        (!inside.is_empty()).then(|| ElementTimes {
-            start_s: starts_s.reduce(f64::min),
-            end_s: ends_s
-                .reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b)))
-                .flatten(),
-            depends_on_controller: inside.iter().any(|event| event.depends_on_controller),
-        })
-    }
-
     /// Returns true if the motion of an entity depends on a controller.
     pub(super) fn is_controlled(&self, entity: usize) -> bool {
         self.motion
             .get(entity)
             .is_some_and(|motion| motion.is_controlled)
-    }
-}
-
-impl StoryEvent<'_> {
-    /// Returns true if the event is the element of this kind and name, or a part of it.
-    fn is_inside(&self, kind: &str, name: &str) -> bool {
-        let level = ["story", "act", "maneuverGroup", "maneuver"]
-            .iter()
-            .position(|level| *level == kind);
-        match level {
-            Some(level) => self.parents.get(level).is_some_and(|parent| parent == name),
-            None => kind == "event" && self.name == name,
-        }
     }
 }
 

@@ -12,6 +12,8 @@ pub struct OpenScenarioReport {
     pub files: Vec<String>,
     /// Combinations of values that violate constraints of the file.
     pub violating: usize,
+    /// Errors of combinations of values that cannot be imported, each with the values.
+    pub refused: Vec<String>,
     /// Notes about content that has no effect on the scenario.
     pub notes: Vec<String>,
     #[serde(skip)]
@@ -25,6 +27,7 @@ impl OpenScenarioReport {
         folder: &Path,
         names: impl Iterator<Item = &'n str>,
         violating: usize,
+        refused: Vec<String>,
         notes: Vec<String>,
     ) -> Self {
         Self {
@@ -32,6 +35,7 @@ impl OpenScenarioReport {
                 .map(|name| folder.join(name).display().to_string())
                 .collect(),
             violating,
+            refused,
             notes,
             folder: folder.to_owned(),
         }

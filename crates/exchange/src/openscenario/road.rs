@@ -7,16 +7,22 @@ use std::rc::Rc;
 use super::error::ScenarioImportError;
 use super::limits::{MAX_LANES, WORK_PER_ROAD, WorkBudget, ensure_at_most};
 use super::xml::{Node, SourceElement};
-use crumple_core::digits::format_number;
+use crumple_core::digits::{format_fixed, format_number};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// Largest distance from the middle of a lane that counts as the middle, in metres.
+/// Largest distance from a line that counts as on the line, in metres.
 const LATERAL_TOLERANCE_M: f64 = 0.01;
+/// Largest curvature of a bend that a scenario unrolls, per metre: at 40 m/s, the lateral acceleration is 0.8 m/s².
+const MAX_CURVATURE: f64 = 1.0 / 2000.0;
+/// Largest slope that has no influence, in metres per metre: gravity changes the acceleration by 0.3 m/s².
+const MAX_SLOPE: f64 = 0.03;
+/// Number of parts of a curve at which its curvature and slope are evaluated.
+const CURVE_PARTS: usize = 32;
 /// Largest difference of directions that count as equal, in radians.
 const HEADING_TOLERANCE_RAD: f64 = 1e-3;
 
-/// A straight, level road whose lanes have constant widths.
+/// A straight road, or one that is unrolled, whose lanes have constant widths.
 #[derive(Debug)]
 pub(super) struct StraightRoad {
     id: String,
@@ -27,7 +33,11 @@ pub(super) struct StraightRoad {
     length_m: f64,
     /// True if lanes with negative numbers have the direction of the road.
     is_right_hand: bool,
+    /// True if the road has bends.
+    is_unrolled: bool,
     lanes: Vec<Lane>,
+    /// Notes about slopes and bends, which the scenario neglects.
+    pub(super) notes: Vec<String>,
 }
 
 #[derive(Debug)]
@@ -45,13 +55,30 @@ impl Lane {
     }
 }
 
-/// A place in the middle of a lane.
+/// A place on a road, with the direction of travel there.
 #[derive(Debug, Clone)]
 pub(super) struct LanePlace {
     pub(super) road: String,
-    pub(super) lane: i32,
-    /// Position in the direction of travel, in metres.
-    pub(super) along_m: f64,
+    /// Position in the direction of the road, in metres.
+    pub(super) road_m: f64,
+    /// Position to the left of the road's direction, in metres.
+    pub(super) lateral_m: f64,
+    /// 1 for travel in the direction of the road, and -1 against it.
+    pub(super) direction: f64,
+}
+
+impl LanePlace {
+    /// Turns the direction of travel by an angle, which must be about 0 or half a turn.
+    pub(super) fn turn(&mut self, node: Node<'_>, angle_rad: f64) -> Result<()> {
+        match libm::cos(angle_rad) {
+            cosine if cosine > libm::cos(HEADING_TOLERANCE_RAD) => {}
+            cosine if cosine < -libm::cos(HEADING_TOLERANCE_RAD) => {
+                self.direction = -self.direction
+            }
+            _ => return Err(node.refuse("`h` differs from the direction of the lane")),
+        }
+        Ok(())
+    }
 }
 
 /// Roads of a file. Each is read at its first use.
@@ -135,7 +162,7 @@ impl StraightRoad {
         {
             return Err(road.refuse("is part of a junction"));
         }
-        check_level(road)?;
+        let slope = check_level(road)?;
         let length_m = road.number("length")?;
         let line = ReferenceLine::read(road)?;
         if (line.end_m - length_m).abs() > 1.0 {
@@ -147,6 +174,7 @@ impl StraightRoad {
         }
         let is_right_hand = road.raw("rule") != Some("LHT");
         let lanes = read_lanes(road.child("lanes")?)?;
+        let notes = neglected(road, &line, slope, &lanes);
         Ok(Self {
             id: road.text("id")?,
             origin_m: line.origin_m,
@@ -154,7 +182,9 @@ impl StraightRoad {
             direction: line.direction,
             length_m,
             is_right_hand,
+            is_unrolled: line.max_curvature > 0.0,
             lanes,
+            notes,
         })
     }
 
@@ -171,7 +201,8 @@ impl StraightRoad {
         let [cosine, sine] = self.direction;
         let [dx_m, dy_m] = [x_m - self.origin_m[0], y_m - self.origin_m[1]];
         let [s_m, lateral_m] = [dx_m * cosine + dy_m * sine, dy_m * cosine - dx_m * sine];
-        let is_on_road = (0.0..=self.length_m).contains(&s_m)
+        let is_on_road = !self.is_unrolled
+            && (0.0..=self.length_m).contains(&s_m)
             && self
                 .lanes
                 .iter()
@@ -197,30 +228,72 @@ impl StraightRoad {
         }
     }
 
-    /// Returns the place `s_m` along the road on a lane.
-    pub(super) fn position(&self, node: Node<'_>, lane: i32, s_m: f64) -> Result<LanePlace> {
-        if self.lane(lane).is_none() || lane == 0 {
-            return Err(node.refuse(format!("the road `{}` has no lane {lane}", self.id)));
-        }
-        if !(0.0..=self.length_m).contains(&s_m) {
-            return Err(node.refuse(format!(
-                "{} m is outside the road `{}` of {} m",
-                format_number(s_m),
-                self.id,
-                format_number(self.length_m)
-            )));
-        }
-        let along_m = self.direction(lane) * (self.start_m() + s_m);
+    /// Returns the place `s_m` along the road, `offset_m` to the left of the middle of a lane in the road's direction.
+    pub(super) fn position(
+        &self,
+        node: Node<'_>,
+        lane: i32,
+        s_m: f64,
+        offset_m: f64,
+    ) -> Result<LanePlace> {
+        let middle_m = self.lane_middle_m(node, lane)?;
+        self.check_length(node, s_m)?;
         Ok(LanePlace {
             road: self.id.clone(),
-            lane,
-            along_m,
+            road_m: self.start_m() + s_m,
+            lateral_m: middle_m + offset_m,
+            direction: self.direction(lane),
         })
     }
 
-    /// Returns the place at a position in the direction of travel.
-    pub(super) fn place_along(&self, node: Node<'_>, lane: i32, along_m: f64) -> Result<LanePlace> {
-        self.position(node, lane, self.direction(lane) * along_m - self.start_m())
+    /// Returns the place `s_m` along the road and `lateral_m` to the left of its reference line.
+    pub(super) fn position_beside(
+        &self,
+        node: Node<'_>,
+        s_m: f64,
+        lateral_m: f64,
+    ) -> Result<LanePlace> {
+        self.check_length(node, s_m)?;
+        let lane = self
+            .lane_at(lateral_m)
+            .ok_or_else(|| node.refuse(format!("is beside the lanes of the road `{}`", self.id)))?;
+        Ok(LanePlace {
+            road: self.id.clone(),
+            road_m: self.start_m() + s_m,
+            lateral_m,
+            direction: self.direction(lane),
+        })
+    }
+
+    fn check_length(&self, node: Node<'_>, s_m: f64) -> Result<()> {
+        if (0.0..=self.length_m).contains(&s_m) {
+            return Ok(());
+        }
+        Err(node.refuse(format!(
+            "{} m is outside the road `{}` of {} m",
+            format_number(s_m),
+            self.id,
+            format_number(self.length_m)
+        )))
+    }
+
+    /// Refuses a position in the direction of the road that is outside the road.
+    pub(super) fn check_inside(&self, node: Node<'_>, road_m: f64) -> Result<()> {
+        self.check_length(node, road_m - self.start_m())
+    }
+
+    /// Returns true if a position in the direction of the road is on the road.
+    pub(super) fn contains_m(&self, road_m: f64) -> bool {
+        (0.0..=self.length_m).contains(&(road_m - self.start_m()))
+    }
+
+    /// Returns the heading of travel in a direction; in bends, that at the start of the road.
+    pub(super) fn travel_rad(&self, direction: f64) -> f64 {
+        if direction > 0.0 {
+            self.heading_rad
+        } else {
+            self.heading_rad + std::f64::consts::PI
+        }
     }
 
     /// Position of the start of the road along its direction, so that positions are x on a road along x.
@@ -229,7 +302,13 @@ impl StraightRoad {
         x_m * self.direction[0] + y_m * self.direction[1]
     }
 
-    /// Returns the place of a point of the world. `heading_rad` must be the direction of travel.
+    /// Returns the position along the road from its start.
+    pub(super) fn s_m(&self, road_m: f64) -> f64 {
+        road_m - self.start_m()
+    }
+
+    /// Returns the place of a point of the world. `heading_rad` is the direction of travel; without it, that is the
+    /// direction of the lane.
     pub(super) fn place_of_point(
         &self,
         node: Node<'_>,
@@ -239,38 +318,29 @@ impl StraightRoad {
         let [s_m, lateral_m] = self
             .project(point_m)
             .ok_or_else(|| node.refuse("is outside the road"))?;
-        let lanes = self.lanes.iter().filter(|lane| lane.id != 0);
-        let nearest = lanes.min_by(|a, b| {
-            let [a_m, b_m] = [a, b].map(|lane| lane.distance_m(lateral_m));
-            a_m.total_cmp(&b_m)
-        });
-        let lane = nearest.ok_or_else(|| node.refuse("the road has no lanes"))?;
-        if lane.distance_m(lateral_m) > LATERAL_TOLERANCE_M {
-            let off_m = lateral_m - lane.middle_m;
-            return Err(node.refuse(format!(
-                "is {} m beside the middle of lane {}",
-                format_number(off_m),
-                lane.id
-            )));
+        let mut lane_place = self.position_beside(node, s_m, lateral_m)?;
+        if let Some(heading_rad) = heading_rad {
+            lane_place.turn(node, heading_rad - self.travel_rad(lane_place.direction))?;
         }
-        let travel_rad = self.heading_rad
-            + if self.direction(lane.id) > 0.0 {
-                0.0
-            } else {
-                std::f64::consts::PI
-            };
-        match heading_rad.map(|heading_rad| libm::cos(heading_rad - travel_rad)) {
-            Some(cosine) if cosine < libm::cos(HEADING_TOLERANCE_RAD) => Err(node.refuse(format!(
-                "`h` is not {} rad, the direction of lane {}",
-                format_number(travel_rad),
-                lane.id
-            ))),
-            _ => self.position(node, lane.id, s_m),
-        }
+        Ok(lane_place)
     }
 
-    /// Returns the lane `left` lanes to the left in the direction of the road, across the missing lane 0.
-    pub(super) fn shifted_lane(&self, lane: i32, by: i32) -> i32 {
+    /// Returns the lane that contains a lateral position.
+    pub(super) fn lane_at(&self, lateral_m: f64) -> Option<i32> {
+        let lanes = self.lanes.iter().filter(|lane| lane.id != 0);
+        let nearest = lanes.min_by(|a, b| {
+            let [a_m, b_m] = [a, b].map(|lane| lane.distance_m(lateral_m) - lane.width_m / 2.0);
+            a_m.total_cmp(&b_m)
+        })?;
+        let is_inside =
+            nearest.distance_m(lateral_m) <= nearest.width_m / 2.0 + LATERAL_TOLERANCE_M;
+        is_inside.then_some(nearest.id)
+    }
+
+    /// Returns the lane `by` lanes to the left of a vehicle in a direction (class `RelativeTargetLane`), across the
+    /// missing lane 0.
+    pub(super) fn shifted_lane(&self, lane: i32, by: i32, direction: f64) -> i32 {
+        let by = if direction < 0.0 { -by } else { by };
         let target = lane.saturating_add(by);
         if (lane < 0) != (target < 0) || target == 0 {
             target.saturating_add(by.signum())
@@ -279,28 +349,92 @@ impl StraightRoad {
         }
     }
 
-    /// Returns the distance between the middles of two lanes, and the width of the second, in metres.
-    pub(super) fn lane_distance_m(&self, node: Node<'_>, from: i32, to: i32) -> Result<[f64; 2]> {
-        let from = self.require_lane(node, from)?;
-        let to = self.require_lane(node, to)?;
-        Ok([to.distance_m(from.middle_m), to.width_m])
+    /// Returns the lateral position of the middle of a lane.
+    pub(super) fn lane_middle_m(&self, node: Node<'_>, lane: i32) -> Result<f64> {
+        Ok(self.require_lane(node, lane)?.middle_m)
+    }
+
+    /// Returns the lateral positions of the edges of a lane.
+    pub(super) fn lane_edges_m(&self, node: Node<'_>, lane: i32) -> Result<[f64; 2]> {
+        let lane = self.require_lane(node, lane)?;
+        Ok([-0.5, 0.5].map(|share| lane.middle_m + share * lane.width_m))
     }
 }
 
-/// Refuses a road with slopes or superelevation.
-fn check_level(road: Node<'_>) -> Result<()> {
-    for (profile, shape) in [
-        ("elevationProfile", "elevation"),
-        ("lateralProfile", "superelevation"),
-    ] {
-        for entry in road.named(profile).flat_map(Node::children) {
-            let is_flat = entry.name() == shape && is_zero(entry, &["a", "b", "c", "d"]);
-            if !is_flat {
-                return Err(entry.refuse("the road must be level"));
-            }
+/// Returns notes about slopes and bends that the scenario neglects.
+fn neglected(road: Node<'_>, line: &ReferenceLine, slope: f64, lanes: &[Lane]) -> Vec<String> {
+    let mut notes = Vec::new();
+    if slope > 0.0 {
+        notes.push(road.note(format!(
+            "slopes of up to {} % have no influence",
+            format_fixed(100.0 * slope, 1)
+        )));
+    }
+    if line.max_curvature > 0.0 {
+        let edges_m = lanes.iter().map(|lane| lane.middle_m.abs());
+        let farthest_m = edges_m.fold(0.0, f64::max);
+        notes.push(road.note(format!(
+            "bends with radii of {} m or more are unrolled along the reference line: distances in lanes differ by up \
+             to {} %",
+            format_fixed(1.0 / line.max_curvature, 0),
+            format_fixed(100.0 * line.max_curvature * farthest_m, 2)
+        )));
+    }
+    notes
+}
+
+/// Returns the largest slope of a road. Refuses steep slopes and superelevation.
+fn check_level(road: Node<'_>) -> Result<f64> {
+    let mut slope: f64 = 0.0;
+    for profile in road.named("lateralProfile").flat_map(Node::children) {
+        if profile.name() != "superelevation" || !is_zero(profile, &["a", "b", "c", "d"]) {
+            return Err(profile.refuse("the road must be level"));
         }
     }
-    Ok(())
+    let entries: Vec<Node<'_>> = road
+        .named("elevationProfile")
+        .flat_map(Node::children)
+        .collect();
+    for (index, entry) in entries.iter().enumerate() {
+        let end_m = match entries.get(index + 1) {
+            Some(next) => next.number("s")?,
+            None => road.number("length")?,
+        };
+        let steepest = steepest_slope(*entry, end_m)?;
+        if !(0.0..=MAX_SLOPE).contains(&steepest) {
+            let percent = 100.0 * MAX_SLOPE;
+            return Err(entry.refuse(format!(
+                "the road must be level, with slopes of up to {percent} %"
+            )));
+        }
+        slope = slope.max(steepest);
+    }
+    Ok(slope)
+}
+
+/// Returns the largest slope of an elevation up to `end_m` along the road, at equal steps.
+fn steepest_slope(elevation: Node<'_>, end_m: f64) -> Result<f64> {
+    if is_zero(elevation, &["b", "c", "d"]) {
+        return Ok(0.0);
+    }
+    let length_m = end_m - elevation.number("s")?;
+    let mut coefficients = [0.0; 3];
+    for (value, name) in coefficients.iter_mut().zip(["b", "c", "d"]) {
+        *value = elevation.number(name)?;
+    }
+    let [b, c, d] = coefficients;
+    let slopes = (0..=CURVE_PARTS).map(|part| {
+        let s_m = length_m * part as f64 / CURVE_PARTS as f64;
+        (b + 2.0 * c * s_m + 3.0 * d * s_m * s_m).abs()
+    });
+    // A slope that is not a number is steep.
+    Ok(slopes.fold(0.0, |largest, slope| {
+        if largest.is_nan() || slope <= largest {
+            largest
+        } else {
+            slope
+        }
+    }))
 }
 
 fn refuse_point(node: Node<'_>, point_m: [f64; 2]) -> ScenarioImportError {
@@ -316,17 +450,20 @@ struct ReferenceLine {
     direction: [f64; 2],
     /// Position along the line at which the geometry ends, in metres.
     end_m: f64,
+    /// Largest curvature, per metre.
+    max_curvature: f64,
 }
 
 impl ReferenceLine {
-    /// Reads the geometries of a road, which must be lines that continue the first one.
+    /// Reads the geometries of a road, which must be lines that continue the first one, or slight bends.
     fn read(road: Node<'_>) -> Result<Self> {
         let mut line: Option<Self> = None;
-        for geometry in road.child("planView")?.children() {
-            let shape = geometry.single()?;
-            if shape.name() != "line" {
-                return Err(shape.refuse("the road must be straight"));
-            }
+        let plan_view = road.child("planView")?;
+        let mut max_curvature: f64 = 0.0;
+        for geometry in plan_view.children() {
+            max_curvature = max_curvature.max(curvature(geometry)?);
+        }
+        for geometry in plan_view.children() {
             let s_m = geometry.number("s")?;
             let [x_m, y_m] = [geometry.number("x")?, geometry.number("y")?];
             let heading_rad = geometry.number("hdg")?;
@@ -335,19 +472,71 @@ impl ReferenceLine {
                 heading_rad,
                 direction: [libm::cos(heading_rad), libm::sin(heading_rad)],
                 end_m: 0.0,
+                max_curvature,
             });
             let [cosine, sine] = line.direction;
             let off_m = (x_m - line.origin_m[0] - s_m * cosine).abs()
                 + (y_m - line.origin_m[1] - s_m * sine).abs();
-            if (heading_rad - line.heading_rad).abs() > HEADING_TOLERANCE_RAD
-                || off_m > LATERAL_TOLERANCE_M
-            {
+            let turns = (heading_rad - line.heading_rad).abs() > HEADING_TOLERANCE_RAD
+                || off_m > LATERAL_TOLERANCE_M;
+            if turns && max_curvature == 0.0 {
                 return Err(geometry.refuse("the road must be straight"));
             }
             line.end_m = s_m + geometry.number("length")?;
         }
         line.ok_or_else(|| road.refuse("has no geometry"))
     }
+}
+
+/// Returns the largest curvature of a geometry, which must be slight.
+fn curvature(geometry: Node<'_>) -> Result<f64> {
+    let shape = geometry.single()?;
+    let largest = match shape.name() {
+        "line" => 0.0,
+        "arc" => shape.number("curvature")?.abs(),
+        "spiral" => {
+            let ends = [shape.number("curvStart")?, shape.number("curvEnd")?];
+            ends.map(f64::abs).into_iter().fold(0.0, f64::max)
+        }
+        "paramPoly3" => polynomial_curvature(geometry, shape)?,
+        _ => f64::INFINITY,
+    };
+    if largest <= MAX_CURVATURE {
+        return Ok(largest);
+    }
+    Err(shape.refuse(format!(
+        "the road must be straight, or have bends with radii of {} m or more",
+        format_fixed(1.0 / MAX_CURVATURE, 0)
+    )))
+}
+
+/// Returns the largest curvature of a parametric cubic curve at equal steps of its parameter.
+fn polynomial_curvature(geometry: Node<'_>, shape: Node<'_>) -> Result<f64> {
+    let end = match shape.raw("pRange") {
+        Some("arcLength") => geometry.number("length")?,
+        _ => 1.0,
+    };
+    let mut coefficients = [0.0; 6];
+    for (value, name) in coefficients
+        .iter_mut()
+        .zip(["bU", "cU", "dU", "bV", "cV", "dV"])
+    {
+        *value = shape.number(name)?;
+    }
+    let [b_u, c_u, d_u, b_v, c_v, d_v] = coefficients;
+    let curvatures = (0..=CURVE_PARTS).map(|part| {
+        let p = end * part as f64 / CURVE_PARTS as f64;
+        let first = |b: f64, c: f64, d: f64| b + 2.0 * c * p + 3.0 * d * p * p;
+        let second = |c: f64, d: f64| 2.0 * c + 6.0 * d * p;
+        let [u, v] = [first(b_u, c_u, d_u), first(b_v, c_v, d_v)];
+        let length = u.hypot(v);
+        ((u * second(c_v, d_v) - v * second(c_u, d_u)) / (length * length * length)).abs()
+    });
+    // A curve that is not a number is not slight.
+    Ok(curvatures.fold(
+        0.0,
+        |largest, value| if value <= largest { largest } else { value },
+    ))
 }
 
 /// Returns true if all listed attributes are absent or 0.
@@ -358,10 +547,7 @@ fn is_zero(node: Node<'_>, attributes: &[&str]) -> bool {
 }
 
 fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
-    let mut offsets = lanes.named("laneOffset");
-    if let Some(offset) = offsets.find(|offset| !is_zero(*offset, &["a", "b", "c", "d"])) {
-        return Err(offset.refuse("lanes must not be offset from the reference line"));
-    }
+    let offset_m = lane_offset_m(lanes)?;
     let section = lanes.child("laneSection")?;
     if let Some(second) = lanes.named("laneSection").nth(1) {
         return Err(second.refuse("the lanes must be the same along the road"));
@@ -384,13 +570,28 @@ fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
         for (id, width_m) in ordered {
             lanes.push(Lane {
                 id,
-                middle_m: sign * (inner_m + width_m / 2.0),
+                middle_m: offset_m + sign * (inner_m + width_m / 2.0),
                 width_m,
             });
             inner_m += width_m;
         }
     }
     Ok(lanes)
+}
+
+/// Returns the distance of the lane 0 from the reference line, which must be constant.
+fn lane_offset_m(lanes: Node<'_>) -> Result<f64> {
+    let mut offset_m = None;
+    for offset in lanes.named("laneOffset") {
+        let a = offset.optional_number("a")?.unwrap_or(0.0);
+        let is_constant = is_zero(offset, &["b", "c", "d"]);
+        if !is_constant || *offset_m.get_or_insert(a) != a {
+            return Err(
+                offset.refuse("the distance of the lanes from the reference line must be constant")
+            );
+        }
+    }
+    Ok(offset_m.unwrap_or(0.0))
 }
 
 /// Reads the number and the width of a lane; `sign` is that of the numbers of its side.

@@ -247,10 +247,27 @@ impl<'a> SourceFiles<'a> {
         })
     }
 
-    pub(super) fn road(&self, reference: Node<'_>) -> Result<Rc<SourceElement>> {
+    /// Reads the road file; `None` if there is none.
+    pub(super) fn road(&self, reference: Node<'_>) -> Result<Option<Rc<SourceElement>>> {
         reference.only(&[], &["filepath"])?;
-        let path = reference.text("filepath")?;
-        self.load(reference, &self.folder.join(path), "OpenDRIVE")
+        let path = self.folder.join(reference.text("filepath")?);
+        match self.cache.load(&path, "OpenDRIVE") {
+            Err(ScenarioImportError::Read { source, .. })
+                if source.kind() == io::ErrorKind::NotFound =>
+            {
+                Ok(None)
+            }
+            Err(error @ ScenarioImportError::Read { .. }) => {
+                Err(reference.refuse(error.to_string()))
+            }
+            result => result.map(Some),
+        }
+    }
+
+    /// Returns a road file with a text that takes the place of a missing file.
+    pub(super) fn replacement_road(&self, text: &str) -> Result<Rc<SourceElement>> {
+        self.cache
+            .parse(text.as_bytes(), Path::new("replacement.xodr"), "OpenDRIVE")
     }
 
     /// Reads a file. The error for an unreadable file names the element that refers to it.
@@ -268,32 +285,69 @@ impl<'a> SourceFiles<'a> {
         kinds: &[&str],
         read: impl FnOnce(Node<'_>) -> Result<T>,
     ) -> Result<T> {
+        read(self.catalog_entry(reference, kinds)?.node(reference)?)
+    }
+
+    /// Returns the entry of a catalogue to which an element refers.
+    pub(super) fn catalog_entry(
+        &self,
+        reference: Node<'_>,
+        kinds: &[&str],
+    ) -> Result<CatalogEntry> {
         reference.only(&["ParameterAssignments"], &["catalogName", "entryName"])?;
         let catalog = reference.text("catalogName")?;
         let name = reference.text("entryName")?;
         let none = Parameters::default();
+        let mut is_known = false;
         for path in &self.catalog_files {
             let root = self.load(reference, path, "OpenSCENARIO")?;
-            let root = Node {
+            let node = Node {
                 element: &root,
                 parameters: &none,
             };
-            let index = self.cache.catalog(path, root);
+            let index = self.cache.catalog(path, node);
             if index.name.as_ref() != Some(&catalog) {
                 continue;
             }
-            let entry = index
-                .entry(root, &name)
-                .ok_or_else(|| reference.refuse(format!("the catalogue has no entry `{name}`")))?;
+            // Several files may be parts of one catalogue.
+            is_known = true;
+            let Some(entry) = index.entry(node, &name) else {
+                continue;
+            };
             check_entry(entry, kinds)?;
             let parameters = entry_parameters(reference, entry)?;
-            return read(Node {
-                parameters: &parameters,
-                ..entry
+            return Ok(CatalogEntry {
+                root: root.clone(),
+                index,
+                name,
+                parameters,
             });
         }
-        Err(reference.refuse(format!(
-            "there is no catalogue `{catalog}` in the folders of CatalogLocations"
-        )))
+        Err(reference.refuse(if is_known {
+            format!("the catalogue has no entry `{name}`")
+        } else {
+            format!("there is no catalogue `{catalog}` in the folders of CatalogLocations")
+        }))
+    }
+}
+
+/// An entry of a catalogue, with the values of its parameters.
+#[derive(Debug)]
+pub(super) struct CatalogEntry {
+    root: Rc<SourceElement>,
+    index: Rc<CatalogIndex>,
+    name: String,
+    parameters: Parameters,
+}
+
+impl CatalogEntry {
+    /// Returns the entry to which `reference` refers.
+    pub(super) fn node<'r>(&'r self, reference: Node<'_>) -> Result<Node<'r>> {
+        let root = Node {
+            element: &self.root,
+            parameters: &self.parameters,
+        };
+        let entry = self.index.entry(root, &self.name);
+        entry.ok_or_else(|| reference.refuse(format!("the catalogue has no entry `{}`", self.name)))
     }
 }

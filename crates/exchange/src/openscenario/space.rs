@@ -39,38 +39,34 @@ impl OpenScenarioSource {
         let counter = ProgressCounter::new(progress, Some(1 + 3 * random.len() as u64));
         let middles: Vec<(String, String)> = random
             .iter()
-            .map(|(name, distribution)| (name.clone(), format_compact(middle(distribution))))
+            .map(|parameter| {
+                let middle = middle(&parameter.distribution);
+                (parameter.name.clone(), format_compact(middle))
+            })
             .collect();
         let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &middles)?;
         counter.add(1)?;
         let mut base = scenario.spec().clone();
         let mut parameters = Vec::new();
-        for (name, distribution) in random {
+        for random in random {
             let importer = ParameterImporter {
                 source: self,
                 ego,
                 middles: &middles,
-                parameter: name,
+                parameter: &random.name,
                 counter: &counter,
             };
-            let samples = importer.samples(range(distribution))?;
-            base.duration_s = base
-                .duration_s
-                .max(samples.at_low.duration_s)
-                .max(samples.at_high.duration_s);
-            let effect = samples.effect().map_err(|problem| {
-                distributions
-                    .root
-                    .refuse(format!("the parameter `{name}` {problem}"))
-            })?;
-            parameters.push(effect.parameter(name, distribution, &base));
+            let samples = importer.samples(range(&random.distribution))?;
+            for sample in [&samples.at_low, &samples.at_high] {
+                base.duration_s = base.duration_s.max(sample.duration_s);
+            }
+            let effect = samples.effect();
+            let effect = effect.map_err(|problem| random.refuse(&problem))?;
+            parameters.push(effect.parameter(&random.name, &random.distribution, &base));
         }
-        let space = ScenarioSpace::new(
-            space_spec(base, parameters),
-            std::path::Path::new(""),
-            &NoDriverFiles,
-        )
-        .map_err(|invalid| distributions.root.refuse(invalid.to_string()))?;
+        let spec = space_spec(base, parameters);
+        let space = ScenarioSpace::new(spec, std::path::Path::new(""), &NoDriverFiles)
+            .map_err(|invalid| distributions.root.refuse(invalid.to_string()))?;
         Ok((space, notes))
     }
 }

@@ -2,39 +2,27 @@
 
 use super::error::ScenarioImportError;
 use super::limits::MAX_SAMPLES;
+use super::vocabulary::{POSITION_MODE, TransitionDimension, TransitionShape};
 use super::xml::Node;
-use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Interval of the samples of curved transitions, in seconds.
 const SAMPLE_S: f64 = 0.01;
+/// Time until which a step of the speed belongs to the initial state, in seconds.
+const INITIAL_S: f64 = 1e-6;
+/// Largest change that is none, in m/s or metres: that of rounding.
+const NO_CHANGE: f64 = 1e-9;
 /// Maximum duration of a curved transition, in seconds.
 const MAX_TRANSITION_S: f64 = 3600.0;
-
-/// Course of a transition.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum TransitionShape {
-    Linear,
-    Cubic,
-    Sinusoidal,
-    Step,
-}
 
 /// Shape and extent of a transition.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TransitionDynamics {
     pub(super) shape: TransitionShape,
-    extent: TransitionExtent,
-}
-
-#[derive(Debug, Clone, Copy)]
-enum TransitionExtent {
-    Time(f64),
-    /// Largest rate of change, per second.
-    Rate(f64),
-    /// Distance along the road, in metres.
-    Distance(f64),
+    pub(super) dimension: TransitionDimension,
+    /// Seconds, units per second or metres.
+    pub(super) value: f64,
 }
 
 impl TransitionDynamics {
@@ -48,53 +36,104 @@ impl TransitionDynamics {
                 "followingMode",
             ],
         )?;
-        node.expect("followingMode", &["position"])?;
-        let value = node.non_negative("value")?;
-        let shape = match node.text("dynamicsShape")?.as_str() {
-            "linear" => TransitionShape::Linear,
-            "cubic" => TransitionShape::Cubic,
-            "sinusoidal" => TransitionShape::Sinusoidal,
-            "step" => TransitionShape::Step,
-            other => return Err(node.refuse(format!("the shape `{other}` is not supported"))),
+        node.expect("followingMode", &[POSITION_MODE])?;
+        let shape = node.word("dynamicsShape")?;
+        let dimension = node.word("dynamicsDimension")?;
+        // The target determines the sign of a rate; some tools write it.
+        let value = match dimension {
+            TransitionDimension::Rate => node.number("value")?.abs(),
+            _ => node.non_negative("value")?,
         };
-        let extent = match node.text("dynamicsDimension")?.as_str() {
-            "time" => TransitionExtent::Time(value),
-            "rate" => TransitionExtent::Rate(value),
-            "distance" => TransitionExtent::Distance(value),
-            other => return Err(node.refuse(format!("the dimension `{other}` is not supported"))),
-        };
-        Ok(Self { shape, extent })
+        Ok(Self {
+            shape,
+            dimension,
+            value,
+        })
     }
 
-    /// Returns the time of a change by `change`, in seconds. `distance_s` returns the time for a distance. Infinite if
-    /// the change never ends.
-    pub(super) fn duration_s(self, change: f64, distance_s: impl FnOnce(f64) -> f64) -> f64 {
-        let mean_rate = match self.shape {
-            TransitionShape::Linear => 1.0,
-            TransitionShape::Cubic => 1.5,
-            TransitionShape::Sinusoidal => std::f64::consts::FRAC_PI_2,
-            TransitionShape::Step => return 0.0,
+    /// Returns true if the change takes no time.
+    pub(super) fn is_instant(self) -> bool {
+        let has_no_extent = self.dimension != TransitionDimension::Rate && self.value == 0.0;
+        self.shape == TransitionShape::Step || has_no_extent
+    }
+
+    /// Limits the rate of a change by `change` to what a vehicle can drive, and returns true if that is less.
+    pub(super) fn limit(&mut self, change: f64, limit: f64) -> bool {
+        if self.is_instant() || change.abs() <= NO_CHANGE {
+            return false;
+        }
+        let limited = match self.dimension {
+            TransitionDimension::Rate => self.value.min(limit),
+            TransitionDimension::Time => {
+                let shortest_s = self.shape.steepest_slope() * change.abs() / limit;
+                self.value.max(shortest_s)
+            }
+            TransitionDimension::Distance => self.value,
         };
-        match self.extent {
-            _ if change == 0.0 => 0.0,
-            TransitionExtent::Time(time_s) => time_s,
-            TransitionExtent::Rate(rate) => mean_rate * change.abs() / rate,
-            TransitionExtent::Distance(distance_m) => distance_s(distance_m),
+        let is_limited = (limited - self.value).abs() > NO_CHANGE * limited;
+        if is_limited {
+            self.value = limited;
+        }
+        is_limited
+    }
+
+    /// Returns the time of a change by `change`, in seconds; infinite if the change never ends, and `None` for a change
+    /// over a distance.
+    pub(super) fn duration_s(self, change: f64) -> Option<f64> {
+        if change.abs() <= NO_CHANGE || self.is_instant() {
+            return Some(0.0);
+        }
+        match self.dimension {
+            TransitionDimension::Time => Some(self.value),
+            TransitionDimension::Rate => {
+                Some(self.shape.steepest_slope() * change.abs() / self.value)
+            }
+            TransitionDimension::Distance => None,
+        }
+    }
+}
+
+impl TransitionShape {
+    fn is_curved(self) -> bool {
+        matches!(self, Self::Cubic | Self::Sinusoidal)
+    }
+
+    /// Returns the largest slope of the shape, relative to its mean.
+    fn steepest_slope(self) -> f64 {
+        match self {
+            Self::Linear | Self::Step => 1.0,
+            Self::Cubic => 1.5,
+            Self::Sinusoidal => std::f64::consts::FRAC_PI_2,
         }
     }
 
-    /// Returns the share of the change after a share of the time.
+    /// Returns the time in which the shape changes a value by `change` with a second derivative of at most `limit`.
+    pub(super) fn duration_at_acceleration_s(self, change: f64, limit: f64) -> f64 {
+        match self {
+            Self::Step => 0.0,
+            Self::Sinusoidal => std::f64::consts::PI * (0.5 * change.abs() / limit).sqrt(),
+            // The acceleration of a straight line is not defined: the line takes as long as the cubic curve.
+            Self::Cubic | Self::Linear => (6.0 * change.abs() / limit).sqrt(),
+        }
+    }
+
+    /// Returns the share of the change after a share of the time or the distance.
     pub(super) fn progress(self, share: f64) -> f64 {
-        match self.shape {
-            TransitionShape::Linear => share,
-            TransitionShape::Cubic => share * share * (3.0 - 2.0 * share),
-            TransitionShape::Sinusoidal => 0.5 * (1.0 - libm::cos(std::f64::consts::PI * share)),
-            TransitionShape::Step => 1.0,
+        match self {
+            Self::Linear => share,
+            Self::Cubic => share * share * (3.0 - 2.0 * share),
+            Self::Sinusoidal => 0.5 * (1.0 - libm::cos(std::f64::consts::PI * share)),
+            Self::Step => 1.0,
         }
     }
 
-    /// Returns the share of the time after which a share of the change is done.
+    /// Returns the share of the time or the distance after which a share of the change is done.
     pub(super) fn share_until(self, target_share: f64) -> f64 {
+        match self {
+            Self::Step => return 0.0,
+            Self::Linear => return target_share,
+            Self::Cubic | Self::Sinusoidal => {}
+        }
         let mut low = 0.0;
         let mut high = 1.0;
         for _ in 0..60 {
@@ -180,6 +219,17 @@ impl SpeedPlan {
         }
     }
 
+    /// Returns the time from which the vehicle stands at a time; `None` if it moves then.
+    pub(super) fn at_rest_since_s(&self, time_s: f64) -> Option<f64> {
+        let state = self.at(time_s);
+        let reached = self
+            .knots
+            .partition_point(|knot| knot.position_m < state.position_m);
+        let stands = state.speed_mps == 0.0;
+        let stop = self.knots.get(reached).filter(|_| stands)?;
+        Some(stop.time_s.min(time_s))
+    }
+
     /// Returns true if the speed differs at any knot of this plan.
     pub(super) fn differs_from(&self, other: &Self) -> bool {
         self.knots
@@ -192,6 +242,22 @@ impl SpeedPlan {
         let last = self.at(time_s);
         self.knots.retain(|knot| knot.time_s < time_s);
         self.knots.push(last);
+    }
+
+    /// Returns true if the speed changes between two times.
+    pub(super) fn changes_between(&self, [from_s, to_s]: [f64; 2]) -> bool {
+        let speed_mps = self.at(from_s).speed_mps;
+        let knots = self.knots.iter();
+        let mut inside = knots.filter(|knot| from_s < knot.time_s && knot.time_s < to_s);
+        self.at(to_s.max(from_s)).speed_mps != speed_mps
+            || inside.any(|knot| knot.speed_mps != speed_mps)
+    }
+
+    /// Sets the speed at the start, if the plan has no other speed.
+    pub(super) fn set_initial_speed(&mut self, speed_mps: f64) {
+        if let [start] = self.knots.as_mut_slice() {
+            start.speed_mps = speed_mps;
+        }
     }
 
     /// Adds a knot. A jump at one time takes the shortest time that separates knots.
@@ -218,8 +284,8 @@ impl SpeedPlan {
         }
     }
 
-    /// Changes the speed from a time on, and returns the end of the change. Takes the samples of a curved change from
-    /// `samples_left`.
+    /// Changes the speed from a time on, and returns the end of the change, which is infinite if the speed never
+    /// changes. Takes the samples of a curved change from `samples_left`.
     pub(super) fn change_speed(
         &mut self,
         node: Node<'_>,
@@ -229,39 +295,86 @@ impl SpeedPlan {
         samples_left: &mut usize,
     ) -> Result<f64> {
         self.cut(from_s);
+        if dynamics.is_instant() && from_s <= INITIAL_S && self.knots.len() == 1 {
+            self.set_initial_speed(to_mps);
+            return Ok(from_s);
+        }
         let from_mps = self.at(from_s).speed_mps;
-        let duration_s = dynamics.duration_s(to_mps - from_mps, |distance_m| {
-            2.0 * distance_m / (from_mps + to_mps)
-        });
-        if duration_s == f64::INFINITY {
-            let [from_mps, to_mps] = [from_mps, to_mps].map(format_number);
-            return Err(node.refuse(format!(
-                "at this rate the speed would never change from {from_mps} to {to_mps} m/s"
-            )));
-        }
-        let is_straight = matches!(
-            dynamics.shape,
-            TransitionShape::Linear | TransitionShape::Step
-        );
-        if duration_s.is_nan() || !is_straight && duration_s > MAX_TRANSITION_S {
-            return Err(node.refuse(format!("the change takes longer than {MAX_TRANSITION_S} s")));
-        }
-        if !is_straight {
-            let samples = (duration_s / SAMPLE_S).ceil();
-            take_samples(node, samples as usize, samples_left)?;
-            for sample in 1..samples as usize {
-                let share = sample as f64 / samples;
-                let speed_mps = from_mps + (to_mps - from_mps) * dynamics.progress(share);
-                self.push(from_s + share * duration_s, speed_mps);
+        let duration_s = match dynamics.duration_s(to_mps - from_mps) {
+            Some(duration_s) => duration_s,
+            None if from_mps > 0.0 && to_mps > 0.0 => {
+                return self.change_over_distance(node, from_s, to_mps, dynamics, samples_left);
             }
+            // A speed that is a function of the distance would never leave 0, and never reach it.
+            None => 2.0 * dynamics.value / (from_mps + to_mps),
+        };
+        if duration_s == f64::INFINITY {
+            return Ok(f64::INFINITY);
+        }
+        let is_curved = dynamics.shape.is_curved();
+        if duration_s.is_nan() || is_curved && duration_s > MAX_TRANSITION_S {
+            return Err(refuse_long_change(node));
+        }
+        if is_curved {
+            let samples = (duration_s / SAMPLE_S).ceil() as usize;
+            take_samples(node, samples, samples_left)?;
+            self.push_samples([from_s, duration_s], to_mps, dynamics.shape, samples);
         }
         self.push(from_s + duration_s, to_mps);
         Ok(from_s + duration_s)
     }
 
-    /// Returns the time after `from_s` within which a distance is travelled; infinite if it is never reached.
-    pub(super) fn travel_time_s(&self, from_s: f64, distance_m: f64) -> f64 {
-        let goal_m = self.at(from_s).position_m + distance_m;
+    /// Adds the samples within a curved change of the speed.
+    fn push_samples(
+        &mut self,
+        [from_s, duration_s]: [f64; 2],
+        to_mps: f64,
+        shape: TransitionShape,
+        samples: usize,
+    ) {
+        let from_mps = self.at(from_s).speed_mps;
+        for sample in 1..samples {
+            let share = sample as f64 / samples as f64;
+            let speed_mps = from_mps + (to_mps - from_mps) * shape.progress(share);
+            self.push(from_s + share * duration_s, speed_mps);
+        }
+    }
+
+    /// Changes the speed as a function of the distance (class `TransitionDynamics`), and returns the end of the change.
+    /// Between the samples the speed is linear in time, so that each sample is at its distance.
+    fn change_over_distance(
+        &mut self,
+        node: Node<'_>,
+        from_s: f64,
+        to_mps: f64,
+        dynamics: TransitionDynamics,
+        samples_left: &mut usize,
+    ) -> Result<f64> {
+        let from_mps = self.at(from_s).speed_mps;
+        let longest_s = dynamics.value / from_mps.min(to_mps);
+        if longest_s > MAX_TRANSITION_S {
+            return Err(refuse_long_change(node));
+        }
+        let samples = (longest_s / SAMPLE_S).ceil().max(1.0);
+        take_samples(node, samples as usize, samples_left)?;
+        let step_m = dynamics.value / samples;
+        let mut time_s = from_s;
+        let mut before_mps = from_mps;
+        for sample in 1..=samples as usize {
+            let progress = dynamics.shape.progress(sample as f64 / samples);
+            let speed_mps = from_mps + (to_mps - from_mps) * progress;
+            time_s += 2.0 * step_m / (before_mps + speed_mps);
+            self.push(time_s, speed_mps);
+            before_mps = speed_mps;
+        }
+        Ok(time_s)
+    }
+
+    /// Returns the time from `from_s` on at which a position is reached; infinite if it never is.
+    pub(super) fn reach_s(&self, from_s: f64, goal_m: f64) -> f64 {
+        if self.at(from_s).position_m >= goal_m {
+            return from_s;
+        }
         if self.at(from_s + MAX_TRANSITION_S).position_m < goal_m {
             return f64::INFINITY;
         }
@@ -275,108 +388,10 @@ impl SpeedPlan {
                 high_s = middle_s
             }
         }
-        high_s
-    }
-
-    /// Follows vertices from the first on.
-    ///
-    /// The shortest segment is the step of the simulation, except at the end, where a collision may cut it. Positions
-    /// determine only mean speeds. Over segments of more than a step the speed is constant up to one step from each
-    /// end. In shorter segments the speed at the end follows from that at the start; errors of the speed alternate and
-    /// decay, and errors of the position are corrected in the next segment.
-    pub(super) fn follow(&mut self, vertices: &[PathVertex]) {
-        let [start, later @ ..] = vertices else {
-            return;
-        };
-        self.cut(start.time_s);
-        let step_s = shortest_step_s(vertices);
-        for (index, to) in later.iter().enumerate() {
-            let Some(segment) = PathSegment::starting_at(vertices, index) else {
-                return;
-            };
-            if segment.span_s <= 1.5 * step_s {
-                self.follow_step(to, segment.span_s);
-                continue;
-            }
-            // After a step, the next mean speed says nothing about the speed at the vertex.
-            let next_mps = PathSegment::starting_at(vertices, index + 1)
-                .filter(|next| next.span_s > 1.5 * step_s)
-                .map(|next| next.mean_mps);
-            self.follow_long_segment(to, segment, next_mps, step_s);
-        }
-    }
-
-    /// Follows a segment of at most one step to a vertex. The speed at its end corrects the error of the position.
-    fn follow_step(&mut self, to: &PathVertex, span_s: f64) {
-        /// Share of an alternating error that remains after a segment.
-        const REMAINING_RIPPLE: f64 = 0.99;
-        let from = self.at(to.time_s - span_s);
-        let covered_m = to.position_m - from.position_m;
-        let wanted_mps =
-            (1.0 + REMAINING_RIPPLE) * covered_m / span_s - REMAINING_RIPPLE * from.speed_mps;
-        self.push(to.time_s, wanted_mps.max(0.0));
-    }
-
-    /// Follows a segment of more than one step to a vertex, at a constant speed between two ramps of one step.
-    fn follow_long_segment(
-        &mut self,
-        to: &PathVertex,
-        segment: PathSegment,
-        next_mps: Option<f64>,
-        step_s: f64,
-    ) {
-        /// Largest difference of the speed at the end of a segment from its mean in crumple's export, in m/s.
-        const SPEED_TOLERANCE_MPS: f64 = 0.005;
-        let PathSegment { mean_mps, span_s } = segment;
-        let from = self.at(to.time_s - span_s);
-        let covered_m = to.position_m - from.position_m;
-        // A larger change is a jump, which begins at the vertex.
-        let smooth_mps =
-            next_mps.filter(|next_mps| (next_mps - mean_mps).abs() <= 2.0 * SPEED_TOLERANCE_MPS);
-        let to_mps = 0.5 * (mean_mps + smooth_mps.unwrap_or(mean_mps));
-        let ramp_s = step_s.min(span_s / 2.0);
-        let constant_mps =
-            ((covered_m - ramp_s * 0.5 * (from.speed_mps + to_mps)) / (span_s - ramp_s)).max(0.0);
-        self.push(to.time_s - span_s + ramp_s, constant_mps);
-        self.push(to.time_s - ramp_s, constant_mps);
-        self.push(to.time_s, to_mps.max(0.0));
+        from_s + high_s
     }
 }
 
-/// A vertex of a trajectory.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PathVertex {
-    pub(super) time_s: f64,
-    pub(super) position_m: f64,
-}
-
-/// Mean speed and duration between two vertices.
-#[derive(Debug, Clone, Copy)]
-struct PathSegment {
-    mean_mps: f64,
-    span_s: f64,
-}
-
-impl PathSegment {
-    /// Returns the segment from a vertex to the next one.
-    fn starting_at(vertices: &[PathVertex], index: usize) -> Option<Self> {
-        let [from, to] = vertices.get(index..index + 2)? else {
-            return None;
-        };
-        let span_s = to.time_s - from.time_s;
-        Some(Self {
-            mean_mps: (to.position_m - from.position_m) / span_s,
-            span_s,
-        })
-    }
-}
-
-/// Returns the shortest time between vertices, without the last two, which a collision may move.
-fn shortest_step_s(vertices: &[PathVertex]) -> f64 {
-    vertices
-        .windows(2)
-        .rev()
-        .skip(2)
-        .filter_map(|pair| Some(pair.last()?.time_s - pair.first()?.time_s))
-        .fold(f64::INFINITY, f64::min)
+fn refuse_long_change(node: Node<'_>) -> ScenarioImportError {
+    node.refuse(format!("the change takes longer than {MAX_TRANSITION_S} s"))
 }

@@ -1,75 +1,48 @@
-//! Stories, events and actions of the storyboard.
+//! Stories: their elements with triggers, and the actions of events.
 
+use std::collections::HashMap;
 use std::rc::Rc;
 
+use super::constructs::{KnownAction, find_action};
+use super::element::StoryElement;
 use super::entities::Entity;
 use super::error::ScenarioImportError;
-use super::limits::{ConditionCount, MAX_ENTITIES, MAX_EVENT_ACTIONS, MAX_EVENTS, ensure_at_most};
-use super::path_actions::{LaneChangeAction, TrajectoryAction, read_lane_change, read_trajectory};
+use super::limits::{
+    ConditionCount, MAX_ENTITIES, MAX_EVENT_ACTIONS, MAX_EVENTS, MAX_EXECUTIONS, ensure_at_most,
+};
+use super::path_actions::{LaneChangeAction, LaneOffsetAction};
+use super::scopes::StoryScopes;
 use super::speed_plan::TransitionDynamics;
+use super::trajectory_action::TrajectoryAction;
 use super::trigger::Trigger;
+use super::variables::VariableChange;
+use super::vocabulary::{ElementKind, FOLLOW_MODE, POSITION_MODE, Priority, Word as _};
 use super::xml::Node;
 use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// Events of the stories, and what they wait for.
+/// Elements of the stories, each after the element around it.
 pub(super) struct Stories<'a> {
-    pub(super) events: Vec<StoryEvent<'a>>,
-    pub(super) triggers: StoryTriggers<'a>,
+    pub(super) elements: Vec<StoryElement<'a>>,
     /// Conditions of all triggers.
     pub(super) conditions: ConditionCount,
-    /// Number of actions, each counted for each entity that does it.
-    actions: usize,
+    /// Actions without influence on the motion.
+    pub(super) notes: Vec<String>,
 }
 
-/// Start triggers.
-#[derive(Default)]
-pub(super) struct StoryTriggers<'a> {
-    pub(super) acts: Vec<Trigger<'a>>,
-    /// Triggers of the events, in their order.
-    pub(super) events: Vec<Trigger<'a>>,
-}
-
-/// An event, and when it happened in the replay.
-#[derive(Clone)]
-pub(super) struct StoryEvent<'a> {
-    pub(super) node: Node<'a>,
-    pub(super) name: String,
-    /// Names of the story, act, maneuver group and maneuver around it.
-    pub(super) parents: [String; 4],
-    /// Index of the act in the file.
-    pub(super) act: usize,
-    pub(super) actors: Vec<usize>,
-    pub(super) actions: Rc<[(String, StoryAction<'a>)]>,
-    pub(super) start_s: Option<f64>,
-    /// Ends of the actions, in their order.
-    pub(super) action_ends_s: Vec<f64>,
-    /// True if the start depends on a controller.
-    pub(super) depends_on_controller: bool,
-}
-
-impl StoryEvent<'_> {
-    /// Returns the end of the event; `None` before its start.
-    pub(super) fn end_s(&self) -> Option<f64> {
-        self.start_s.map(|start_s| {
-            self.action_ends_s
-                .iter()
-                .copied()
-                .reduce(f64::max)
-                .unwrap_or(start_s)
-        })
-    }
-}
-
-/// An action of an entity.
+/// An action of an entity, or of none.
 pub(super) enum StoryAction<'a> {
     Speed(SpeedAction<'a>),
-    /// Times after the previous entry, in seconds, and speeds in m/s.
-    SpeedProfile(Vec<(f64, f64)>),
+    SpeedProfile(SpeedProfileAction<'a>),
     LaneChange(LaneChangeAction<'a>),
+    LaneOffset(LaneOffsetAction<'a>),
     Trajectory(TrajectoryAction<'a>),
+    Route(Node<'a>),
     Activate,
+    Variable(VariableChange),
+    /// No influence on the motion, for a reason.
+    Ignored(&'static str),
 }
 
 impl<'a> StoryAction<'a> {
@@ -78,17 +51,21 @@ impl<'a> StoryAction<'a> {
         match self {
             Self::Speed(speed) => Some(speed.node),
             Self::LaneChange(change) => Some(change.node),
+            Self::LaneOffset(offset) => Some(offset.node),
             Self::Trajectory(trajectory) => Some(trajectory.node),
-            Self::SpeedProfile(_) | Self::Activate => None,
+            Self::Route(node) => Some(*node),
+            Self::SpeedProfile(_) | Self::Activate | Self::Variable(_) | Self::Ignored(_) => None,
         }
     }
+}
 
-    pub(super) fn changes_speed(&self) -> bool {
-        matches!(
-            self,
-            Self::Speed(_) | Self::SpeedProfile(_) | Self::Trajectory(_)
-        )
-    }
+/// Speeds at times, linear between them.
+pub(super) struct SpeedProfileAction<'a> {
+    pub(super) node: Node<'a>,
+    /// Times after the previous entry, in seconds, and speeds in m/s.
+    pub(super) entries: Vec<(f64, f64)>,
+    /// True for the following mode `follow`.
+    pub(super) is_loose: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -102,6 +79,8 @@ pub(super) struct SpeedAction<'a> {
 #[derive(Clone, Copy)]
 pub(super) struct SpeedTarget {
     pub(super) reference: Option<usize>,
+    /// True if the target follows the reference for ever.
+    pub(super) is_continuous: bool,
     factor: f64,
     offset_mps: f64,
 }
@@ -113,6 +92,7 @@ impl SpeedTarget {
                 node.only(&[], &["value"])?;
                 Ok(Self {
                     reference: None,
+                    is_continuous: false,
                     factor: 0.0,
                     offset_mps: node.non_negative("value")?,
                 })
@@ -127,19 +107,19 @@ impl SpeedTarget {
             &[],
             &["entityRef", "value", "speedTargetValueType", "continuous"],
         )?;
-        if node.flag("continuous", false)? {
-            return Err(node.refuse("a continuous target is not supported"));
-        }
+        let is_continuous = node.flag("continuous", false)?;
         let reference = Some(entity_index(node, "entityRef", entities)?);
         let value = node.number("value")?;
         match node.text("speedTargetValueType")?.as_str() {
             "delta" => Ok(Self {
                 reference,
+                is_continuous,
                 factor: 1.0,
                 offset_mps: value,
             }),
             "factor" => Ok(Self {
                 reference,
+                is_continuous,
                 factor: value,
                 offset_mps: 0.0,
             }),
@@ -167,196 +147,311 @@ pub(super) fn entity_index(
     index.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
 }
 
-/// Reads all events with their triggers.
+/// Reads the elements of all stories with their triggers.
 pub(super) fn read_stories<'a>(
     storyboard: Node<'a>,
     entities: &[Entity<'_>],
+    scopes: &'a StoryScopes,
 ) -> Result<Stories<'a>> {
-    let mut stories = Stories {
-        events: Vec::new(),
-        triggers: StoryTriggers::default(),
-        conditions: ConditionCount::default(),
+    let mut reader = StoryReader {
+        entities,
+        scopes,
+        stories: Stories {
+            elements: Vec::new(),
+            conditions: ConditionCount::default(),
+            notes: Vec::new(),
+        },
+        counts: HashMap::new(),
         actions: 0,
     };
     for story in storyboard.named("Story") {
-        story.only(&["Act", "ParameterDeclarations"], &["name"])?;
-        let mut lists = story.named("ParameterDeclarations");
-        if let Some(declared) = lists.find_map(|list| list.children().next()) {
-            return Err(declared.refuse("parameters of a story are not supported"));
-        }
-        for act in story.named("Act") {
-            stories.read_act(story, act, entities)?;
-            let acts = stories.triggers.acts.len();
-            ensure_at_most(storyboard, acts, MAX_EVENTS, "acts")?;
-        }
+        reader.read_story(storyboard, scopes.enter(story))?;
     }
+    let mut stories = reader.stories;
+    resolve_references(&mut stories.elements)?;
     Ok(stories)
 }
 
-/// A maneuver group, with what is the same for all its events.
-struct ManeuverGroup<'a> {
-    node: Node<'a>,
-    /// Names of the story, the act and the group.
-    names: [String; 3],
-    /// Element that names the actors.
-    actor_list: Node<'a>,
-    actors: Vec<usize>,
+/// Resolves the references of conditions to elements.
+fn resolve_references(elements: &mut [StoryElement<'_>]) -> Result<()> {
+    let mut triggers: Vec<_> = elements
+        .iter_mut()
+        .map(|element| [element.start.take(), element.stop.take()])
+        .collect();
+    let names = ElementNames::new(elements);
+    for trigger in triggers.iter_mut().flatten().flatten() {
+        trigger.resolve(&names)?;
+    }
+    for (element, [start, stop]) in elements.iter_mut().zip(triggers) {
+        (element.start, element.stop) = (start, stop);
+    }
+    Ok(())
 }
 
-impl<'a> Stories<'a> {
-    fn read_act(&mut self, story: Node<'a>, act: Node<'a>, entities: &[Entity<'_>]) -> Result<()> {
-        act.only(&["ManeuverGroup", "StartTrigger", "StopTrigger"], &["name"])?;
-        let mut stops = act.named("StopTrigger");
-        if let Some(stop) = stops.find_map(|stop| stop.children().next()) {
-            return Err(stop.refuse("a stop trigger of an act is not supported"));
+/// Resolves the references of a trigger to elements.
+pub(super) fn resolve_trigger(
+    trigger: &mut Trigger<'_>,
+    elements: &[StoryElement<'_>],
+) -> Result<()> {
+    trigger.resolve(&ElementNames::new(elements))
+}
+
+/// Elements by their kind and name.
+pub(super) struct ElementNames<'e, 'a> {
+    elements: &'e [StoryElement<'a>],
+    indices: HashMap<(&'static str, &'e str), Vec<usize>>,
+}
+
+impl<'e, 'a> ElementNames<'e, 'a> {
+    pub(super) fn new(elements: &'e [StoryElement<'a>]) -> Self {
+        let mut indices: HashMap<_, Vec<usize>> = HashMap::new();
+        for (index, element) in elements.iter().enumerate() {
+            let key = (element.kind.name(), element.name.as_str());
+            indices.entry(key).or_default().push(index);
         }
-        for node in act.named("ManeuverGroup") {
-            let names = [story.text("name")?, act.text("name")?, node.text("name")?];
-            let group = ManeuverGroup::read(node, names, entities)?;
-            for maneuver in node.named("Maneuver") {
-                maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
-                for event in maneuver.named("Event") {
-                    self.read_event(&group, maneuver, event, entities)?;
-                }
+        Self { elements, indices }
+    }
+
+    /// Returns the element to which a reference refers. Its last part is the name, and the parts before it, separated
+    /// by `::`, are the names of the elements around.
+    pub(super) fn find(&self, node: Node<'_>, kind: ElementKind, reference: &str) -> Result<usize> {
+        let name = reference.rsplit("::").next().unwrap_or_default();
+        let candidates = self.indices.get(&(kind.name(), name));
+        let mut matching = candidates
+            .into_iter()
+            .flatten()
+            .filter(|index| self.matches(**index, reference));
+        match (matching.next(), matching.next()) {
+            (Some(index), None) => Ok(*index),
+            (None, _) => {
+                let kind = kind.name();
+                Err(node.refuse(format!("there is no {kind} `{reference}` in the stories")))
+            }
+            (Some(_), Some(_)) => Err(node.refuse(format!(
+                "there are several elements `{reference}` of the kind {}: add the names of the elements around, \
+                 separated by `::`",
+                kind.name()
+            ))),
+        }
+    }
+
+    fn matches(&self, index: usize, reference: &str) -> bool {
+        let mut element = self.elements.get(index);
+        reference.rsplit("::").all(|part| {
+            let matches = element.is_some_and(|element| element.name == part);
+            element = element
+                .and_then(|element| element.parent)
+                .and_then(|parent| self.elements.get(parent));
+            matches
+        })
+    }
+}
+
+struct StoryReader<'a, 'b, 'c> {
+    entities: &'b [Entity<'c>],
+    scopes: &'a StoryScopes,
+    stories: Stories<'a>,
+    /// Number of elements of each kind.
+    counts: HashMap<&'static str, usize>,
+    /// Number of actions, each counted for each entity that does it.
+    actions: usize,
+}
+
+impl<'a> StoryReader<'a, '_, '_> {
+    /// Adds an element, and returns its index.
+    fn add(
+        &mut self,
+        around: Node<'a>,
+        parent: Option<usize>,
+        mut element: StoryElement<'a>,
+    ) -> Result<usize> {
+        let index = self.stories.elements.len();
+        let count = self.counts.entry(element.kind.name()).or_default();
+        *count += 1;
+        if element.kind != ElementKind::Action {
+            let what = match element.kind {
+                ElementKind::Story => "stories",
+                ElementKind::Act => "acts",
+                ElementKind::ManeuverGroup => "maneuver groups, with those before it",
+                ElementKind::Maneuver => "maneuvers, with those before it",
+                _ => "events, with those before it",
+            };
+            ensure_at_most(around, *count, MAX_EVENTS, what)?;
+        }
+        element.parent = parent;
+        if let Some(parent) = parent.and_then(|parent| self.stories.elements.get_mut(parent)) {
+            parent.children.push(index);
+        }
+        self.stories.elements.push(element);
+        Ok(index)
+    }
+
+    fn read_trigger(&mut self, holder: Node<'a>, name: &'a str) -> Result<Option<Trigger<'a>>> {
+        let Some(node) = holder.optional(name) else {
+            return Ok(None);
+        };
+        let conditions = &mut self.stories.conditions;
+        Trigger::read(node, self.entities, conditions)
+    }
+
+    fn read_story(&mut self, storyboard: Node<'a>, story: Node<'a>) -> Result<()> {
+        story.only(&["Act", "ParameterDeclarations"], &["name"])?;
+        let element = StoryElement::new(story, ElementKind::Story, name_of(story)?);
+        let index = self.add(storyboard, None, element)?;
+        for act in story.named("Act") {
+            self.read_act(storyboard, index, act)?;
+        }
+        Ok(())
+    }
+
+    fn read_act(&mut self, storyboard: Node<'a>, story: usize, act: Node<'a>) -> Result<()> {
+        act.only(&["ManeuverGroup", "StartTrigger", "StopTrigger"], &["name"])?;
+        let mut element = StoryElement::new(act, ElementKind::Act, name_of(act)?);
+        element.start = self.read_trigger(act, "StartTrigger")?;
+        element.stop = self.read_trigger(act, "StopTrigger")?;
+        let index = self.add(storyboard, Some(story), element)?;
+        for group in act.named("ManeuverGroup") {
+            self.read_group(act, index, group)?;
+        }
+        Ok(())
+    }
+
+    fn read_group(&mut self, around: Node<'a>, act: usize, node: Node<'a>) -> Result<()> {
+        node.only(
+            &["Actors", "Maneuver", "CatalogReference"],
+            &["name", "maximumExecutionCount"],
+        )?;
+        let mut element = StoryElement::new(node, ElementKind::ManeuverGroup, name_of(node)?);
+        element.max_executions = max_executions(node)?;
+        let group = ManeuverGroup::read(node, self.entities)?;
+        let index = self.add(around, Some(act), element)?;
+        for child in node.children() {
+            let Some(maneuver) = self.scopes.maneuver(child)? else {
+                continue;
+            };
+            maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
+            let element = StoryElement::new(maneuver, ElementKind::Maneuver, name_of(maneuver)?);
+            let parent = self.add(node, Some(index), element)?;
+            for event in maneuver.named("Event") {
+                self.read_event(&group, parent, event)?;
             }
         }
-        let start = act.optional("StartTrigger");
-        let trigger = Trigger::read(start, entities, &mut self.conditions)?;
-        self.triggers.acts.push(trigger);
         Ok(())
     }
 
     fn read_event(
         &mut self,
         group: &ManeuverGroup<'a>,
-        maneuver: Node<'a>,
+        maneuver: usize,
         node: Node<'a>,
-        entities: &[Entity<'_>],
     ) -> Result<()> {
         node.only(
             &["Action", "StartTrigger"],
             &["name", "priority", "maximumExecutionCount"],
         )?;
-        node.expect("maximumExecutionCount", &["1"])?;
-        node.expect("priority", &["override", "overwrite", "parallel"])?;
-        self.count_event(group, node)?;
-        let actions = read_event_actions(node, entities)?;
-        let start = node.optional("StartTrigger");
-        let trigger = Trigger::read(start, entities, &mut self.conditions)?;
-        self.triggers.events.push(trigger);
-        let [story, act, group_name] = group.names.clone();
-        self.events.push(StoryEvent {
-            node,
-            name: node.text("name")?,
-            parents: [story, act, group_name, maneuver.text("name")?],
-            act: self.triggers.acts.len(),
-            actors: group.actors.clone(),
-            actions: actions.into(),
-            start_s: None,
-            action_ends_s: Vec::new(),
-            depends_on_controller: false,
-        });
+        let mut element = StoryElement::new(node, ElementKind::Event, name_of(node)?);
+        element.max_executions = max_executions(node)?;
+        let priority = node.optional_word("priority")?;
+        element.priority = priority.unwrap_or(Priority::Parallel);
+        element.start = self.read_trigger(node, "StartTrigger")?;
+        element.actors = group.actors.clone();
+        let index = self.add(group.node, Some(maneuver), element)?;
+        self.count_actions(group, node)?;
+        for action in node.named("Action") {
+            self.read_event_action(group, index, action)?;
+        }
         Ok(())
     }
 
-    /// Refuses an event without actors, and more events or actions than the limits.
-    fn count_event(&mut self, group: &ManeuverGroup<'a>, event: Node<'a>) -> Result<()> {
-        if group.actors.is_empty() {
-            return Err(group
-                .actor_list
-                .refuse("names no entity for the actions of the events"));
-        }
-        let events = self.events.len() + 1;
-        ensure_at_most(
-            group.node,
-            events,
-            MAX_EVENTS,
-            "events, with those before it",
-        )?;
-        self.actions += group.actors.len() * event.named("Action").count().max(1);
+    /// Refuses more actions than the limit.
+    fn count_actions(&mut self, group: &ManeuverGroup<'a>, event: Node<'a>) -> Result<()> {
+        self.actions += group.actors.len().max(1) * event.named("Action").count().max(1);
         let what = "actions of events, each counted for each of its entities";
         ensure_at_most(event, self.actions, MAX_EVENT_ACTIONS, what)
     }
+
+    fn read_event_action(
+        &mut self,
+        group: &ManeuverGroup<'a>,
+        event: usize,
+        node: Node<'a>,
+    ) -> Result<()> {
+        node.only(
+            &["PrivateAction", "GlobalAction", "UserDefinedAction"],
+            &["name"],
+        )?;
+        let holder = node.single()?;
+        let mut element = StoryElement::new(node, ElementKind::Action, name_of(node)?);
+        let KnownAction { action, domains } = find_action(holder, self.entities)?;
+        element.domains = domains;
+        if holder.name() == "PrivateAction" {
+            if group.actors.is_empty() {
+                let problem = "names no entity for the actions of the events";
+                return Err(group.actor_list.refuse(problem));
+            }
+            element.actors = group.actors.clone();
+        }
+        if let StoryAction::Ignored(reason) = action {
+            let inner = holder.children().next().unwrap_or(holder);
+            self.stories.notes.push(inner.note(reason));
+        }
+        element.action = Some(Rc::new(action));
+        self.add(node, Some(event), element)?;
+        Ok(())
+    }
 }
 
-fn read_event_actions<'a>(
-    event: Node<'a>,
-    entities: &[Entity<'_>],
-) -> Result<Vec<(String, StoryAction<'a>)>> {
-    event
-        .named("Action")
-        .map(|action| {
-            action.only(&["PrivateAction"], &["name"])?;
-            let inner = action.single()?.single()?;
-            Ok((action.text("name")?, read_action(inner, entities)?))
-        })
-        .collect()
+/// Returns the name of an element; files of some tools have elements without names.
+fn name_of(node: Node<'_>) -> Result<String> {
+    Ok(node.optional_text("name")?.unwrap_or_default())
+}
+
+fn max_executions(node: Node<'_>) -> Result<u32> {
+    match node.optional_number("maximumExecutionCount")? {
+        None => Ok(1),
+        Some(count) if (1.0..=MAX_EXECUTIONS).contains(&count) && count.fract() == 0.0 => {
+            Ok(count as u32)
+        }
+        Some(count) => Err(node.refuse(format!(
+            "attribute `maximumExecutionCount`: {} is not a whole number from 1 to {MAX_EXECUTIONS}",
+            format_number(count)
+        ))),
+    }
+}
+
+/// The actors of a maneuver group.
+struct ManeuverGroup<'a> {
+    node: Node<'a>,
+    /// Element that names the actors.
+    actor_list: Node<'a>,
+    actors: Rc<[usize]>,
 }
 
 impl<'a> ManeuverGroup<'a> {
-    fn read(node: Node<'a>, names: [String; 3], entities: &[Entity<'_>]) -> Result<Self> {
-        node.only(&["Actors", "Maneuver"], &["name", "maximumExecutionCount"])?;
-        node.expect("maximumExecutionCount", &["1"])?;
+    fn read(node: Node<'a>, entities: &[Entity<'_>]) -> Result<Self> {
         let list = node.child("Actors")?;
         list.only(&["EntityRef"], &["selectTriggeringEntities"])?;
         if list.flag("selectTriggeringEntities", false)? {
             return Err(list.refuse("triggering entities as actors are not supported"));
         }
         ensure_at_most(list, list.children().count(), MAX_ENTITIES, "entities")?;
-        let actors = list
+        let actors: Vec<usize> = list
             .children()
             .map(|actor| entity_index(actor, "entityRef", entities))
             .collect::<Result<_>>()?;
         Ok(Self {
             node,
-            names,
             actor_list: list,
-            actors,
+            actors: actors.into(),
         })
     }
 }
 
-/// Reads a private action.
-pub(super) fn read_action<'a>(
-    action: Node<'a>,
-    entities: &[Entity<'_>],
+/// Reads an activation of a controller.
+pub(super) fn read_activation<'a>(
+    node: Node<'a>,
+    _entities: &[Entity<'_>],
 ) -> Result<StoryAction<'a>> {
-    match action.name() {
-        "LongitudinalAction" => {
-            let inner = action.single()?;
-            match inner.name() {
-                "SpeedAction" => Ok(StoryAction::Speed(read_speed(inner, entities)?)),
-                "SpeedProfileAction" => read_profile(inner),
-                _ => Err(inner.refuse("is not supported in an event")),
-            }
-        }
-        "LateralAction" => {
-            let inner = action.single()?;
-            if inner.name() != "LaneChangeAction" {
-                return Err(inner.refuse("is lateral: vehicles drive in the middle of a lane"));
-            }
-            read_lane_change(inner, entities)
-        }
-        "RoutingAction" => {
-            let inner = action.single()?;
-            if inner.name() != "FollowTrajectoryAction" {
-                return Err(inner.refuse("is not supported: the road is straight"));
-            }
-            read_trajectory(inner)
-        }
-        "ControllerAction" => {
-            action.only(&["AssignControllerAction", "ActivateControllerAction"], &[])?;
-            let activate = action.optional("ActivateControllerAction");
-            let activate = activate
-                .ok_or_else(|| action.refuse("controllers must be assigned by the entity"))?;
-            read_activation(activate)
-        }
-        "ActivateControllerAction" => read_activation(action),
-        _ => Err(action.refuse("is not supported")),
-    }
-}
-
-fn read_activation<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
     node.only(
         &[],
         &[
@@ -368,10 +463,47 @@ fn read_activation<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
             "objectControllerRef",
         ],
     )?;
+    // Without the attribute, the control of the speed does not change (class `ActivateControllerAction`).
+    if node.raw("longitudinal").is_none() {
+        return Ok(StoryAction::Ignored(
+            "does not change the control of the speed",
+        ));
+    }
     match node.flag("longitudinal", true)? {
         true => Ok(StoryAction::Activate),
-        false => Err(node.refuse("a controller must be active in longitudinal direction")),
+        false => Ok(StoryAction::Ignored(
+            "does not end the control of the speed: a controller drives to the end",
+        )),
     }
+}
+
+/// Reads a group of actions on a controller.
+pub(super) fn read_controller_action<'a>(
+    action: Node<'a>,
+    entities: &[Entity<'_>],
+) -> Result<StoryAction<'a>> {
+    action.only(
+        &[
+            "AssignControllerAction",
+            "ActivateControllerAction",
+            "OverrideControllerValueAction",
+        ],
+        &[],
+    )?;
+    match action.optional("ActivateControllerAction") {
+        Some(activate) => read_activation(activate, entities),
+        None => Ok(StoryAction::Ignored(
+            "has no influence: `Entities` or --ego states the vehicle under test",
+        )),
+    }
+}
+
+/// Reads a speed action of an event.
+pub(super) fn read_speed_action<'a>(
+    node: Node<'a>,
+    entities: &[Entity<'_>],
+) -> Result<StoryAction<'a>> {
+    read_speed(node, entities).map(StoryAction::Speed)
 }
 
 pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity<'_>]) -> Result<SpeedAction<'a>> {
@@ -383,12 +515,25 @@ pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity<'_>]) -> Result<
     })
 }
 
-fn read_profile<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
-    node.only(&["SpeedProfileEntry"], &["followingMode"])?;
-    node.expect("followingMode", &["position"])?;
-    let entries = node.children().map(|entry| {
+pub(super) fn read_profile<'a>(
+    node: Node<'a>,
+    _entities: &[Entity<'_>],
+) -> Result<StoryAction<'a>> {
+    node.only(
+        &["SpeedProfileEntry", "DynamicConstraints"],
+        &["followingMode", "entityRef"],
+    )?;
+    if node.raw("entityRef").is_some() {
+        return Err(node.refuse("speeds relative to an entity are not supported"));
+    }
+    node.expect("followingMode", &[POSITION_MODE, FOLLOW_MODE])?;
+    let entries = node.named("SpeedProfileEntry").map(|entry| {
         entry.only(&[], &["time", "speed"])?;
         Ok((entry.non_negative("time")?, entry.non_negative("speed")?))
     });
-    Ok(StoryAction::SpeedProfile(entries.collect::<Result<_>>()?))
+    Ok(StoryAction::SpeedProfile(SpeedProfileAction {
+        node,
+        entries: entries.collect::<Result<_>>()?,
+        is_loose: node.raw("followingMode") == Some(FOLLOW_MODE),
+    }))
 }

@@ -1,33 +1,30 @@
-//! Triggers: groups of conditions, evaluated at the steps of a replay.
+//! Triggers: groups of conditions, evaluated at the steps of a replay (7.6).
 
+use std::collections::VecDeque;
+
+use super::constructs::find_condition;
+use super::element::Awaited;
 use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::limits::ConditionCount;
+use super::quantity::EntityCondition;
 use super::replay::Replay;
-use super::storyboard::entity_index;
+use super::storyboard::{ElementNames, entity_index};
+use super::variables::ValueCondition;
+use super::vocabulary::{AwaitedState, ConditionEdge, ElementKind, Rule};
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// Attributes of conditions on the distance of two entities.
-const DISTANCE_ATTRIBUTES: [&str; 8] = [
-    "entityRef",
-    "value",
-    "rule",
-    "freespace",
-    "alongRoute",
-    "coordinateSystem",
-    "relativeDistanceType",
-    "routingAlgorithm",
-];
+/// Largest difference of values that count as equal.
+const EQUAL: f64 = 1e-6;
 
 /// A trigger: true if all conditions of a group are true.
 pub(super) struct Trigger<'a> {
-    /// `None` for a trigger that is true from the start.
-    groups: Option<Vec<Vec<Condition<'a>>>>,
+    groups: Vec<Vec<Condition<'a>>>,
 }
 
-/// Start of an act or an event, or the end of the scenario.
+/// Time at which a trigger fires.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Firing {
     pub(super) time_s: f64,
@@ -37,60 +34,44 @@ pub(super) struct Firing {
 
 struct Condition<'a> {
     node: Node<'a>,
-    kind: ConditionKind,
+    kind: ConditionKind<'a>,
+    /// Entities of a condition on entities.
+    entities: Vec<usize>,
+    needs_all: bool,
     edge: ConditionEdge,
     delay_s: f64,
     /// Margin at the step before; positive if the condition held.
     margin_before: Option<f64>,
+    /// Number of the last transition before the last evaluation.
+    seen_serial: Option<u64>,
     /// Times from which the condition is true, delay included, and until which.
-    pending_s: std::collections::VecDeque<f64>,
+    pending_s: VecDeque<f64>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum ConditionEdge {
-    None,
-    Rising,
-    Falling,
-}
-
-enum ConditionKind {
+/// Comparison of a condition.
+pub(super) enum ConditionKind<'a> {
     Time(ConditionThreshold),
-    Element {
-        kind: String,
-        name: String,
-        is_end: bool,
-    },
-    Entity {
-        entities: Vec<usize>,
-        needs_all: bool,
-        quantity: EntityQuantity,
-        threshold: ConditionThreshold,
-    },
+    Element(ElementCondition),
+    Value(ValueCondition),
+    Entity(EntityCondition<'a>),
+    /// Never true in a replay.
+    Never,
 }
 
-/// A quantity of an entity, which may be relative to another entity.
-#[derive(Clone, Copy)]
-struct EntityQuantity {
-    kind: QuantityKind,
-    /// Entity to which the quantity is relative.
-    reference: Option<usize>,
-    /// True for distances between bumpers.
-    is_free: bool,
+/// A condition on the state of an element.
+pub(super) struct ElementCondition {
+    kind: ElementKind,
+    reference: String,
+    awaited: Awaited,
+    /// Index of the element.
+    element: usize,
 }
 
-#[derive(Clone, Copy)]
-enum QuantityKind {
-    Speed,
-    Distance,
-    Headway,
-    TimeToCollision,
-}
-
-#[derive(Clone, Copy)]
-struct ConditionThreshold {
+/// Threshold of a condition.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ConditionThreshold {
     value: f64,
-    is_lower: bool,
-    is_strict: bool,
+    rule: Rule,
 }
 
 /// State of a condition at a time.
@@ -103,42 +84,43 @@ struct ConditionState {
 }
 
 impl ConditionThreshold {
-    fn read(node: Node<'_>) -> Result<Self> {
-        let rule = node.text("rule")?;
-        if !["greaterThan", "greaterOrEqual", "lessThan", "lessOrEqual"].contains(&rule.as_str()) {
-            return Err(node.refuse(format!("the rule `{rule}` is not supported")));
-        }
-        Ok(Self {
-            value: node.number("value")?,
-            is_lower: rule.starts_with("greater"),
-            is_strict: rule.ends_with("Than"),
-        })
+    pub(super) fn new(rule: Rule, value: f64) -> Self {
+        Self { value, rule }
     }
 
+    pub(super) fn read(node: Node<'_>) -> Result<Self> {
+        Ok(Self::new(node.word("rule")?, node.number("value")?))
+    }
+
+    /// Returns a number that is positive if the condition holds.
     fn margin(self, value: f64) -> f64 {
-        let margin = if self.is_lower {
-            value - self.value
-        } else {
-            self.value - value
+        let margin = match self.rule {
+            Rule::GreaterThan | Rule::GreaterOrEqual => value - self.value,
+            Rule::LessThan | Rule::LessOrEqual => self.value - value,
+            Rule::EqualTo => EQUAL - (value - self.value).abs(),
+            Rule::NotEqualTo => (value - self.value).abs() - EQUAL,
         };
         // Conditions hold at positive margins.
-        if margin == 0.0 && !self.is_strict {
+        if margin == 0.0 && matches!(self.rule, Rule::GreaterOrEqual | Rule::LessOrEqual) {
             f64::MIN_POSITIVE
         } else {
             margin
         }
     }
+
+    /// Returns the time from which a condition on the time holds.
+    fn since_s(self) -> Option<f64> {
+        matches!(self.rule, Rule::GreaterThan | Rule::GreaterOrEqual).then_some(self.value)
+    }
 }
 
 impl<'a> Trigger<'a> {
+    /// Reads a trigger; `None` for one without conditions.
     pub(super) fn read(
-        node: Option<Node<'a>>,
+        node: Node<'a>,
         entities: &[Entity<'_>],
         count: &mut ConditionCount,
-    ) -> Result<Self> {
-        let Some(node) = node else {
-            return Ok(Self { groups: None });
-        };
+    ) -> Result<Option<Self>> {
         node.only(&["ConditionGroup"], &[])?;
         let mut groups = Vec::new();
         for group in node.children() {
@@ -149,47 +131,67 @@ impl<'a> Trigger<'a> {
                 .map(|condition| Condition::read(condition, entities, count));
             groups.push(conditions.collect::<Result<Vec<_>>>()?);
         }
-        Ok(Self {
-            groups: Some(groups),
-        })
+        Ok((!groups.is_empty()).then_some(Self { groups }))
     }
 
-    /// Returns the work of one evaluation: `elements` is the number of events and actions, `state_work` that of finding
-    /// the state of an entity.
-    pub(super) fn work(&self, elements: u64, state_work: u64) -> u64 {
-        let groups = self.groups.iter().flatten();
+    /// Resolves references to elements.
+    pub(super) fn resolve(&mut self, names: &ElementNames<'_, '_>) -> Result<()> {
+        for condition in self.groups.iter_mut().flatten() {
+            if let ConditionKind::Element(awaited) = &mut condition.kind {
+                let node = condition.node;
+                awaited.element = names.find(node, awaited.kind, &awaited.reference)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns a time at which the trigger has fired; infinite if that depends on more than the time.
+    pub(super) fn latest_s(&self) -> f64 {
+        let groups = self.groups.iter().map(|group| {
+            let times = group.iter().map(Condition::latest_s);
+            times.fold(0.0, f64::max)
+        });
+        groups.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Forgets earlier evaluations.
+    pub(super) fn reset(&mut self) {
+        for condition in self.groups.iter_mut().flatten() {
+            condition.margin_before = None;
+            condition.seen_serial = None;
+            condition.pending_s.clear();
+        }
+    }
+
+    /// Returns the work of one evaluation, if finding the state of an entity takes `state_work`.
+    pub(super) fn work(&self, state_work: u64) -> u64 {
+        let groups = self.groups.iter();
         2 + groups
             .map(|group| {
                 let conditions = group.iter();
                 2 + conditions
-                    .map(|condition| condition.work(elements, state_work))
+                    .map(|condition| condition.work(state_work))
                     .sum::<u64>()
             })
             .sum::<u64>()
     }
 
-    /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`.
+    /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`. Its element waits since
+    /// `armed_s`.
     pub(super) fn fires(
         &mut self,
-        state: &Replay<'_, '_>,
-        before_s: f64,
-        now_s: f64,
+        replay: &Replay<'_, '_>,
+        [armed_s, before_s, now_s]: [f64; 3],
     ) -> Result<Option<Firing>> {
-        let Some(groups) = &mut self.groups else {
-            return Ok(Some(Firing {
-                time_s: before_s,
-                depends_on_controller: false,
-            }));
-        };
         let mut first: Option<Firing> = None;
-        for group in groups {
-            let mut fired_s = Some(before_s);
+        for group in &mut self.groups {
+            let mut fired_s = Some(before_s.max(armed_s));
             let mut depends_on_controller = false;
             for condition in group {
-                let state_now = condition.state(state, now_s)?;
-                let true_s = condition.evaluate(&state_now, before_s, now_s)?;
+                let state = condition.state(replay, now_s)?;
+                let true_s = condition.evaluate(&state, [armed_s, before_s, now_s]);
                 fired_s = fired_s.zip(true_s).map(|(a, b)| a.max(b));
-                depends_on_controller |= state_now.depends_on_controller;
+                depends_on_controller |= state.depends_on_controller;
             }
             if let Some(time_s) = fired_s
                 && first.is_none_or(|earlier| time_s < earlier.time_s)
@@ -210,37 +212,66 @@ impl<'a> Condition<'a> {
             &["ByValueCondition", "ByEntityCondition"],
             &["name", "delay", "conditionEdge"],
         )?;
-        let edge = match node.text("conditionEdge")?.as_str() {
-            "none" => ConditionEdge::None,
-            "rising" => ConditionEdge::Rising,
-            "falling" => ConditionEdge::Falling,
-            other => return Err(node.refuse(format!("the edge `{other}` is not supported"))),
-        };
-        let inner = node.single()?;
-        let kind = match inner.name() {
-            "ByValueCondition" => read_value_condition(inner.single()?)?,
-            _ => read_entity_condition(inner, entities, count)?,
-        };
+        let edge = node.word("conditionEdge")?;
         // The range of the standard is [0..inf[ (ASAM OpenSCENARIO XML 1.3.1, class Condition).
         let delay_s = node.optional_non_negative("delay")?.unwrap_or(0.0);
         count.add_delay_s(node, delay_s)?;
-        Ok(Self {
+        let holder = node.single()?;
+        let mut condition = Self {
             node,
-            kind,
+            kind: ConditionKind::Never,
+            entities: Vec::new(),
+            needs_all: false,
             edge,
             delay_s,
             margin_before: None,
-            pending_s: Default::default(),
-        })
+            seen_serial: None,
+            pending_s: VecDeque::new(),
+        };
+        let inner = if holder.name() == "ByEntityCondition" {
+            holder.only(&["TriggeringEntities", "EntityCondition"], &[])?;
+            condition.read_entities(holder.child("TriggeringEntities")?, entities, count)?;
+            holder.child("EntityCondition")?.single()?
+        } else {
+            holder.single()?
+        };
+        condition.kind = find_condition(inner, entities)?;
+        Ok(condition)
+    }
+
+    fn read_entities(
+        &mut self,
+        triggering: Node<'_>,
+        entities: &[Entity<'_>],
+        count: &mut ConditionCount,
+    ) -> Result<()> {
+        triggering.only(&["EntityRef"], &["triggeringEntitiesRule"])?;
+        triggering.expect("triggeringEntitiesRule", &["any", "all"])?;
+        count.add_entities(triggering, triggering.children().count())?;
+        self.needs_all = triggering.text("triggeringEntitiesRule")? == "all";
+        self.entities = triggering
+            .children()
+            .map(|entity| entity_index(entity, "entityRef", entities))
+            .collect::<Result<Vec<_>>>()?;
+        Ok(())
+    }
+
+    /// Returns the time from which the condition holds for ever; infinite if that depends on more than the time.
+    fn latest_s(&self) -> f64 {
+        let since_s = match (&self.kind, self.edge) {
+            (ConditionKind::Time(threshold), ConditionEdge::None) => threshold.since_s(),
+            _ => None,
+        };
+        since_s.map_or(f64::INFINITY, |since_s| since_s + self.delay_s)
     }
 
     /// Returns the work of one evaluation.
-    fn work(&self, elements: u64, state_work: u64) -> u64 {
-        match &self.kind {
-            ConditionKind::Time(_) => 5,
-            ConditionKind::Element { .. } => 5 + 4 * elements,
-            ConditionKind::Entity { entities, .. } => 5 + 4 * state_work * entities.len() as u64,
-        }
+    fn work(&self, state_work: u64) -> u64 {
+        let places = match &self.kind {
+            ConditionKind::Entity(condition) => condition.quantity.places as u64,
+            _ => 0,
+        };
+        5 + (8 + 4 * places) * state_work * self.entities.len() as u64
     }
 
     /// Returns a time at which the condition, with its edge and its delay, is true in the step from `before_s` to
@@ -248,74 +279,129 @@ impl<'a> Condition<'a> {
     fn evaluate(
         &mut self,
         state: &ConditionState,
-        before_s: f64,
-        now_s: f64,
-    ) -> Result<Option<f64>> {
+        [armed_s, before_s, now_s]: [f64; 3],
+    ) -> Option<f64> {
         let margin_before = self.margin_before.replace(state.margin);
         let held_before = margin_before.is_some_and(|margin| margin > 0.0);
         let holds = state.margin > 0.0;
-        let true_s = match self.edge {
-            ConditionEdge::None if holds && held_before => Some(before_s),
-            ConditionEdge::Rising if margin_before.is_none() && holds => {
-                return Err(self
-                    .node
-                    .refuse("is true from the start, so that it never becomes true"));
-            }
-            ConditionEdge::None | ConditionEdge::Rising if holds && !held_before => {
-                Some(state.crossed_s(margin_before, before_s, now_s))
-            }
-            ConditionEdge::Falling if held_before && !holds => {
-                Some(state.crossed_s(margin_before, before_s, now_s))
-            }
-            _ => None,
+        // The first evaluation knows an earlier state only if the change has an exact time.
+        let was_false = match margin_before {
+            Some(margin) => margin <= 0.0,
+            None => state
+                .since_s
+                .is_some_and(|since_s| since_s > before_s.max(armed_s)),
         };
-        self.pending_s
-            .extend(true_s.map(|true_s| true_s + self.delay_s));
+        let [rises, falls] = [holds && was_false, held_before && !holds];
+        let is_true = match self.edge {
+            ConditionEdge::None => holds,
+            ConditionEdge::Rising => rises,
+            ConditionEdge::Falling => falls,
+            ConditionEdge::RisingOrFalling => rises || falls,
+        };
+        if is_true {
+            let has_held = held_before || margin_before.is_none() && state.since_s.is_none();
+            let true_s = if holds && has_held {
+                before_s
+            } else {
+                state.crossed_s(margin_before, before_s, now_s)
+            };
+            // The delay begins no earlier than the element waits.
+            self.pending_s
+                .push_back(true_s.max(armed_s.min(now_s)) + self.delay_s);
+        }
         let mut first_due_s = None;
         while let Some(due_s) = self.pending_s.pop_front_if(|due_s| *due_s <= now_s + 1e-9) {
             first_due_s = first_due_s.or(Some(due_s));
         }
-        Ok(first_due_s)
+        first_due_s
     }
 
     /// Returns the state at the end of a step, without edge and delay.
-    fn state(&self, replay: &Replay<'_, '_>, now_s: f64) -> Result<ConditionState> {
-        match &self.kind {
+    fn state(&mut self, replay: &Replay<'_, '_>, now_s: f64) -> Result<ConditionState> {
+        let never = ConditionState {
+            margin: -1.0,
+            since_s: None,
+            depends_on_controller: false,
+        };
+        match &mut self.kind {
+            ConditionKind::Never => Ok(never),
             ConditionKind::Time(threshold) => Ok(ConditionState {
                 margin: threshold.margin(now_s),
-                since_s: Some(threshold.value),
+                since_s: threshold.since_s(),
                 depends_on_controller: false,
             }),
-            ConditionKind::Element { kind, name, is_end } => {
-                let times = replay.element_times(kind, name).ok_or_else(|| {
-                    self.node
-                        .refuse(format!("there is no {kind} `{name}` in the stories"))
-                })?;
-                let since_s = if *is_end { times.end_s } else { times.start_s };
-                let holds = since_s.is_some_and(|since_s| since_s <= now_s);
-                Ok(ConditionState {
-                    margin: if holds { 1.0 } else { -1.0 },
-                    since_s,
-                    depends_on_controller: times.depends_on_controller,
-                })
+            ConditionKind::Value(condition) => Ok(ConditionState {
+                margin: if replay.variables.holds(self.node, condition)? {
+                    1.0
+                } else {
+                    -1.0
+                },
+                // The first evaluation does not know whether the value before fulfilled the condition.
+                since_s: self
+                    .margin_before
+                    .and_then(|_| replay.variables.since_s(condition)),
+                ..never
+            }),
+            ConditionKind::Element(awaited) => {
+                let seen = self.seen_serial.replace(replay.serial());
+                Ok(awaited.state(replay, seen.unwrap_or(replay.step_serial())))
             }
-            ConditionKind::Entity {
-                entities,
-                needs_all,
-                quantity,
-                threshold,
-            } => {
-                let margins = entities
-                    .iter()
-                    .map(|entity| threshold.margin(quantity.value(replay, *entity, now_s)));
-                let margin = margins.reduce(if *needs_all { f64::min } else { f64::max });
-                let mut entities = entities.iter().copied().chain(quantity.reference);
-                Ok(ConditionState {
-                    margin: margin.unwrap_or(-1.0),
-                    since_s: None,
-                    depends_on_controller: entities.any(|entity| replay.is_controlled(entity)),
-                })
+            ConditionKind::Entity(condition) => {
+                entity_state(replay, condition, &self.entities, self.needs_all, now_s)
             }
+        }
+    }
+}
+
+/// Returns the state of a condition on entities: of all of them, or of any.
+fn entity_state(
+    replay: &Replay<'_, '_>,
+    condition: &mut EntityCondition<'_>,
+    entities: &[usize],
+    needs_all: bool,
+    now_s: f64,
+) -> Result<ConditionState> {
+    let pick = if needs_all { f64::min } else { f64::max };
+    let mut margins = Vec::with_capacity(entities.len());
+    for entity in entities {
+        let value = condition.value(replay, *entity, now_s)?;
+        margins.push(condition.threshold.margin(value));
+    }
+    let since = entities
+        .iter()
+        .filter_map(|entity| condition.quantity.since_s(replay, *entity, now_s));
+    let since_s = since.reduce(if needs_all { f64::max } else { f64::min });
+    let reference = condition.quantity.reference;
+    let mut entities = entities.iter().copied().chain(reference);
+    Ok(ConditionState {
+        margin: margins.into_iter().reduce(pick).unwrap_or(-1.0),
+        since_s,
+        depends_on_controller: entities.any(|entity| replay.is_controlled(entity)),
+    })
+}
+
+impl ElementCondition {
+    /// Returns the state of the condition. A transition is visible in the evaluation after it, and no later.
+    fn state(&self, replay: &Replay<'_, '_>, seen_serial: u64) -> ConditionState {
+        let Some(element) = replay.elements.get(self.element) else {
+            return ConditionState {
+                margin: -1.0,
+                since_s: None,
+                depends_on_controller: false,
+            };
+        };
+        let (holds, since_s) = match self.awaited {
+            Awaited::State(state) => (element.state == state, Some(element.state_since_s)),
+            Awaited::Transition(transition) => {
+                let mark = element.mark(transition);
+                let mark = mark.filter(|mark| mark.serial > seen_serial);
+                (mark.is_some(), mark.map(|mark| mark.time_s))
+            }
+        };
+        ConditionState {
+            margin: if holds { 1.0 } else { -1.0 },
+            since_s,
+            depends_on_controller: element.depends_on_controller,
         }
     }
 }
@@ -324,7 +410,7 @@ impl ConditionState {
     /// Returns the time in the step from `before_s` to `now_s` at which the condition begins or ends to hold.
     fn crossed_s(&self, margin_before: Option<f64>, before_s: f64, now_s: f64) -> f64 {
         if let Some(since_s) = self.since_s {
-            return since_s.max(before_s);
+            return since_s.clamp(before_s, now_s);
         }
         let share = margin_before.map_or(f64::NAN, |before| before / (before - self.margin));
         if share.is_finite() {
@@ -335,130 +421,33 @@ impl ConditionState {
     }
 }
 
-fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
-    match node.name() {
-        "SimulationTimeCondition" => {
-            node.only(&[], &["value", "rule"])?;
-            let threshold = ConditionThreshold::read(node)?;
-            if threshold.is_lower {
-                Ok(ConditionKind::Time(threshold))
-            } else {
-                Err(node.refuse("must wait for a later time"))
-            }
-        }
-        "StoryboardElementStateCondition" => {
-            node.only(
-                &[],
-                &["storyboardElementType", "storyboardElementRef", "state"],
-            )?;
-            let is_end = match node.text("state")?.as_str() {
-                "startTransition" | "runningState" => false,
-                "endTransition" | "completeState" => true,
-                other => return Err(node.refuse(format!("the state `{other}` is not supported"))),
-            };
-            // A reference may be qualified by the names of the elements around.
-            let name = node.text("storyboardElementRef")?;
-            let name = name.rsplit("::").next().unwrap_or_default().to_owned();
-            Ok(ConditionKind::Element {
-                kind: node.text("storyboardElementType")?,
-                name,
-                is_end,
-            })
-        }
-        _ => Err(node.refuse("is not supported as a condition")),
-    }
+/// Reads `SimulationTimeCondition`.
+pub(super) fn read_time<'a>(node: Node<'a>, _entities: &[Entity<'_>]) -> Result<ConditionKind<'a>> {
+    node.only(&[], &["value", "rule"])?;
+    Ok(ConditionKind::Time(ConditionThreshold::read(node)?))
 }
 
-fn read_entity_condition(
-    node: Node<'_>,
-    entities: &[Entity<'_>],
-    count: &mut ConditionCount,
-) -> Result<ConditionKind> {
-    node.only(&["TriggeringEntities", "EntityCondition"], &[])?;
-    let triggering = node.child("TriggeringEntities")?;
-    triggering.only(&["EntityRef"], &["triggeringEntitiesRule"])?;
-    triggering.expect("triggeringEntitiesRule", &["any", "all"])?;
-    count.add_entities(triggering, triggering.children().count())?;
-    let needs_all = triggering.text("triggeringEntitiesRule")? == "all";
-    let triggering_entities = triggering
-        .children()
-        .map(|entity| entity_index(entity, "entityRef", entities))
-        .collect::<Result<Vec<_>>>()?;
-    let condition = node.child("EntityCondition")?.single()?;
-    Ok(ConditionKind::Entity {
-        entities: triggering_entities,
-        needs_all,
-        quantity: EntityQuantity::read(condition, entities)?,
-        threshold: ConditionThreshold::read(condition)?,
-    })
+/// Reads `StoryboardElementStateCondition`.
+pub(super) fn read_element_state<'a>(
+    node: Node<'a>,
+    _entities: &[Entity<'_>],
+) -> Result<ConditionKind<'a>> {
+    node.only(
+        &[],
+        &["storyboardElementType", "storyboardElementRef", "state"],
+    )?;
+    Ok(ConditionKind::Element(ElementCondition {
+        kind: node.word("storyboardElementType")?,
+        reference: node.text("storyboardElementRef")?,
+        awaited: node.word::<AwaitedState>("state")?.into(),
+        element: usize::MAX,
+    }))
 }
 
-impl EntityQuantity {
-    /// Reads what a condition compares with its threshold.
-    fn read(condition: Node<'_>, entities: &[Entity<'_>]) -> Result<Self> {
-        let kind = match condition.name() {
-            "SpeedCondition" | "RelativeSpeedCondition" => QuantityKind::Speed,
-            "RelativeDistanceCondition" => QuantityKind::Distance,
-            "TimeHeadwayCondition" => QuantityKind::Headway,
-            "TimeToCollisionCondition" => QuantityKind::TimeToCollision,
-            _ => return Err(condition.refuse("is not supported as a condition")),
-        };
-        let attributes = match condition.name() {
-            "SpeedCondition" => &["value", "rule"][..],
-            "RelativeSpeedCondition" => &["entityRef", "value", "rule"],
-            _ => &DISTANCE_ATTRIBUTES,
-        };
-        let target = "TimeToCollisionConditionTarget";
-        let has_target = matches!(kind, QuantityKind::TimeToCollision);
-        let children = if has_target { &[target][..] } else { &[] };
-        condition.only(children, attributes)?;
-        condition.expect("relativeDistanceType", &["longitudinal"])?;
-        condition.expect("coordinateSystem", &["entity", "lane", "road"])?;
-        let is_free = condition.flag("freespace", false)?;
-        let reference = match condition.name() {
-            "SpeedCondition" => None,
-            _ if has_target => Some(condition.child(target)?.single()?),
-            _ => Some(condition),
-        };
-        let reference = reference
-            .map(|node| entity_index(node, "entityRef", entities))
-            .transpose()?;
-        if !matches!(kind, QuantityKind::Speed) {
-            condition.non_negative("value")?;
-        }
-        Ok(Self {
-            kind,
-            reference,
-            is_free,
-        })
-    }
-
-    fn value(self, replay: &Replay<'_, '_>, entity: usize, now_s: f64) -> f64 {
-        let own_mps = replay.speed_mps(entity, now_s);
-        let Some(reference) = self.reference else {
-            return own_mps;
-        };
-        let ahead_m = replay.position_m(reference, now_s) - replay.position_m(entity, now_s);
-        let faster_mps = own_mps - replay.speed_mps(reference, now_s);
-        let is_behind = ahead_m >= 0.0;
-        let [front, rear] = if is_behind {
-            [reference, entity]
-        } else {
-            [entity, reference]
-        };
-        let closing_mps = if is_behind { faster_mps } else { -faster_mps };
-        let bodies_m = replay.bumpers_m(rear)[0] + replay.bumpers_m(front)[1];
-        let gap_m = if self.is_free {
-            (ahead_m.abs() - bodies_m).max(0.0)
-        } else {
-            ahead_m.abs()
-        };
-        match self.kind {
-            QuantityKind::Speed => faster_mps,
-            QuantityKind::Distance => gap_m,
-            QuantityKind::Headway => gap_m / own_mps,
-            QuantityKind::TimeToCollision if closing_mps > 0.0 => gap_m / closing_mps,
-            QuantityKind::TimeToCollision => f64::INFINITY,
-        }
-    }
+/// Reads a condition that a replay cannot evaluate, because the run ends then, or the vehicle keeps to the road.
+pub(super) fn read_never<'a>(
+    _node: Node<'a>,
+    _entities: &[Entity<'_>],
+) -> Result<ConditionKind<'a>> {
+    Ok(ConditionKind::Never)
 }

@@ -9,6 +9,7 @@ use quick_xml::{Reader, XmlVersion};
 
 use super::error::ScenarioImportError;
 use super::parameters::Parameters;
+use super::vocabulary::Word;
 use crumple_core::digits::format_number;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -118,15 +119,16 @@ impl SourceElement {
         })
     }
 
-    pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
-        let [element, reason] =
-            [&self.name, &reason.into()].map(|text| shorten_message(text).into_owned());
-        ScenarioImportError::Refused {
-            path: self.path.to_path_buf(),
+    pub(super) fn location(&self) -> ElementLocation {
+        ElementLocation {
+            path: self.path.clone(),
             line: self.line,
-            element,
-            reason,
+            name: shorten_message(&self.name).into_owned(),
         }
+    }
+
+    pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
+        self.location().refuse(&reason.into())
     }
 
     /// Returns the size of this element with its children.
@@ -277,17 +279,24 @@ pub(super) struct Node<'a> {
     pub(super) parameters: &'a Parameters,
 }
 
+impl ElementLocation {
+    pub(super) fn refuse(&self, reason: &str) -> ScenarioImportError {
+        ScenarioImportError::Refused {
+            path: self.path.to_path_buf(),
+            line: self.line,
+            element: self.name.clone(),
+            reason: shorten_message(reason).into_owned(),
+        }
+    }
+}
+
 impl<'a> Node<'a> {
     pub(super) fn name(self) -> &'a str {
         &self.element.name
     }
 
     pub(super) fn location(self) -> ElementLocation {
-        ElementLocation {
-            path: self.element.path.clone(),
-            line: self.element.line,
-            name: shorten_message(&self.element.name).into_owned(),
-        }
+        self.element.location()
     }
 
     pub(super) fn refuse(self, reason: impl Into<String>) -> ScenarioImportError {
@@ -427,13 +436,33 @@ impl<'a> Node<'a> {
         }
     }
 
+    /// Returns the value of an attribute that is a word of the vocabulary.
+    pub(super) fn word<T: Word>(self, name: &str) -> Result<T> {
+        let text = self.text(name)?;
+        T::parse(&text).ok_or_else(|| self.refuse_word(name, &text, T::NAMES))
+    }
+
+    /// Returns the value of an attribute that is a word of the vocabulary, or `None` without the attribute.
+    pub(super) fn optional_word<T: Word>(self, name: &str) -> Result<Option<T>> {
+        match self.raw(name) {
+            Some(_) => self.word(name).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    fn refuse_word(self, name: &str, text: &str, expected: &[&str]) -> ScenarioImportError {
+        self.refuse(format!(
+            "`{name}` = `{text}` is not supported, only {}",
+            expected.join(", ")
+        ))
+    }
+
     /// Refuses any value of an attribute but the expected ones; a missing attribute is accepted.
     pub(super) fn expect(self, name: &str, expected: &[&str]) -> Result<()> {
         match self.optional_text(name)? {
-            Some(text) if !expected.contains(&text.as_str()) => Err(self.refuse(format!(
-                "`{name}` = `{text}` is not supported, only {}",
-                expected.join(", ")
-            ))),
+            Some(text) if !expected.contains(&text.as_str()) => {
+                Err(self.refuse_word(name, &text, expected))
+            }
             _ => Ok(()),
         }
     }

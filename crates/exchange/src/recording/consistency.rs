@@ -97,6 +97,14 @@ pub(super) struct Hypothesis {
 }
 
 impl Hypothesis {
+    /// Returns the hypothesis that a column of relative speeds, which is compared with a gap, has the opposite sign.
+    pub(super) fn opposite_sign(column: &str) -> Self {
+        Self {
+            factors: [1.0, -1.0, -1.0],
+            reason: format!("{column} has the opposite sign"),
+        }
+    }
+
     /// Returns a hypothesis for each other unit of a column with the given terms.
     pub(super) fn units<'a>(
         column: &'a str,

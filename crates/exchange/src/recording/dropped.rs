@@ -65,6 +65,16 @@ pub enum Omission {
         /// Reason.
         reason: EpisodeProblem,
     },
+    /// A whole drive without a scenario.
+    #[error("vehicle {number} leads a drive from {} s on, which was left out: {reason}", format_number(*start_s))]
+    Drive {
+        /// Number of the leader in the recording.
+        number: usize,
+        /// Start of the drive, in seconds of the recording.
+        start_s: f64,
+        /// Field that a scenario may not hold.
+        reason: InvalidField,
+    },
 }
 
 impl Omission {

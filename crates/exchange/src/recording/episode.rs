@@ -1,19 +1,16 @@
 //! Braking episodes and their scenarios.
 
-use crumple_sim::control::{AebSettings, BuiltInController};
-use crumple_sim::scenario::{
-    Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass,
-    VehicleSpec,
-};
-
 use super::lead_vehicles::VehicleAhead;
 use super::series::round_to_milli;
+use super::vehicle_line::{FollowerDriver, VehicleLine};
+use super::vehicle_motion::VehicleMotion;
+use crumple_sim::scenario::{InvalidField, Scenario, ScenarioSpec};
 
 /// Length of a recorded car, in metres: antenna distance less bumper spacing, on average over twelve pairs of the
 /// published files. The class length of 2 m is the paper's.
 pub const CAR_LENGTH_M: f64 = 4.5;
 /// Steps per second of the scenarios. Durations are rounded up to whole steps.
-const STEPS_PER_S: f64 = 100.0;
+pub(super) const STEPS_PER_S: f64 = 100.0;
 
 /// Braking of a leader and initial state of its followers. Times count from the start of the scenario unless stated
 /// otherwise.
@@ -37,20 +34,16 @@ pub struct BrakingEpisode {
     pub end_speed_mps: f64,
     /// Largest loss of speed over one second, in m/s.
     pub largest_drop_mps: f64,
-    /// Hardest braking between two samples, in m/s², positive.
-    pub hardest_brake_mps2: f64,
-    /// Hardest acceleration between two samples, in m/s².
-    pub hardest_accel_mps2: f64,
     /// Vehicles at the start, front to rear, with the leader first.
     pub vehicles: Vec<EpisodeVehicle>,
     /// Vehicle ahead of the leader, which is not in the scenario.
     pub ahead: VehicleAhead,
     /// Number of the vehicle behind the last, if its gap or speed is unknown at the start.
     pub not_recorded_behind: Option<usize>,
-    /// Time of each of the leader's samples, in seconds, to the millisecond.
-    pub time_s: Vec<f64>,
-    /// Speed of the leader at each of them, in m/s, to three decimals.
-    pub speed_mps: Vec<f64>,
+    /// Motion of the leader.
+    pub leader_motion: VehicleMotion,
+    /// Motion of the last of three or more vehicles, up to the first acceleration that no vehicle has.
+    pub last_motion: Option<VehicleMotion>,
 }
 
 /// A vehicle at the start of an episode.
@@ -72,71 +65,47 @@ impl BrakingEpisode {
     /// Creates the scenario: the leader drives as recorded, the others start as recorded and are then driven by
     /// controllers.
     ///
-    /// The last of three or more vehicles drives the baseline ADAS, so that those under test have a follower; all other
-    /// followers are under test. Vehicles of unknown length are light with 4.5 m; vehicles from 7.5 m on are heavy. The
-    /// leader's limits are raised to its recorded motion where necessary.
+    /// `follower` drives the last of three or more vehicles; all other followers are under test. Vehicles of unknown
+    /// length are light with 4.5 m; vehicles from 7.5 m on are heavy. The limits of vehicles that repeat recorded
+    /// speeds are raised to their motion where necessary. With a human follower, the seed follows from the name.
     ///
     /// `file` is the name of the recording in the scenario's `about`.
     ///
     /// # Errors
     /// [`InvalidField`] for numbers that a scenario may not hold, such as positions beyond 1000 km.
-    pub fn scenario(&self, name: String, file: &str) -> Result<Scenario, InvalidField> {
-        let mut vehicles = self.vehicle_specs();
-        if let Some(leader) = vehicles.first_mut() {
-            leader.max_brake_mps2 = raise_limit(leader.max_brake_mps2(), self.hardest_brake_mps2);
-            leader.max_accel_mps2 = raise_limit(leader.max_accel_mps2(), self.hardest_accel_mps2);
-        }
+    pub fn scenario(
+        &self,
+        name: String,
+        file: &str,
+        follower: &FollowerDriver,
+    ) -> Result<Scenario, InvalidField> {
         // Division rounds to the decimals of the file; multiplication by the step would not.
         let duration_s =
             (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S;
         Scenario::new(ScenarioSpec {
-            about: self.about(file),
+            about: self.about(file, follower),
             step_s: 1.0 / STEPS_PER_S,
-            ..ScenarioSpec::new(name, duration_s, vehicles)
+            seed: follower.seed(&name),
+            ..ScenarioSpec::new(name, duration_s, self.line_of_vehicles().specs(follower))
         })
     }
 
-    /// Returns the vehicles of the scenario, front to rear; the last one is at position 0.
-    fn vehicle_specs(&self) -> Vec<VehicleSpec> {
-        let mut position_m = 0.0;
-        let mut specs = Vec::with_capacity(self.vehicles.len());
-        for (index, vehicle) in self.vehicles.iter().enumerate().rev() {
-            let length_m = vehicle.length_m.unwrap_or(CAR_LENGTH_M);
-            let class = VehicleClass::from_length(length_m);
-            let driver = self.driver(index);
-            let mut spec = VehicleSpec::new(class, position_m, vehicle.speed_mps, driver);
-            spec.length_m = Some(length_m);
-            specs.push(spec);
-            let ahead = index
-                .checked_sub(1)
-                .and_then(|ahead| self.vehicles.get(ahead));
-            let ahead_length_m = ahead
-                .and_then(|ahead| ahead.length_m)
-                .unwrap_or(CAR_LENGTH_M);
-            position_m = round_to_milli(position_m + vehicle.gap_ahead_m + ahead_length_m);
-        }
-        specs.reverse();
-        specs
-    }
-
-    /// Returns the driver of a vehicle of the scenario.
-    fn driver(&self, index: usize) -> Driver {
-        let last = self.vehicles.len().saturating_sub(1);
-        match index {
-            0 => Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
-                time_s: self.time_s.clone(),
-                speed_mps: self.speed_mps.clone(),
-            })),
-            _ if index == last && last > 1 => {
-                Driver::Controller(BuiltInController::Baseline(AebSettings::default()))
-            }
-            _ => Driver::UnderTest,
+    fn line_of_vehicles(&self) -> VehicleLine<'_> {
+        VehicleLine {
+            vehicles: &self.vehicles,
+            leader_motion: &self.leader_motion,
+            last_motion: self.last_motion.as_ref(),
         }
     }
 
     /// Describes the episode in sentences.
-    fn about(&self, file: &str) -> String {
-        let mut sentences = vec![self.describe_braking(file), self.describe_followers()];
+    fn about(&self, file: &str, follower: &FollowerDriver) -> String {
+        let mut sentences = vec![
+            self.describe_braking(file),
+            self.describe_followers(),
+            self.line_of_vehicles()
+                .describe_last(follower, self.duration_s),
+        ];
         match self.ahead {
             VehicleAhead::None => {}
             VehicleAhead::Recorded(number) => sentences.push(format!(
@@ -151,13 +120,10 @@ impl BrakingEpisode {
                 "Gap or speed of vehicle {number} is missing, so the line ends before it."
             ));
         }
-        if let Some(&end_s) = self.time_s.last()
-            && end_s < self.duration_s
-        {
-            sentences.push(format!(
-                "The recording of its speed ends after {end_s:.1} s; it then holds the last one."
-            ));
-        }
+        let end = self
+            .leader_motion
+            .describe_end("the leader's", self.duration_s);
+        sentences.extend(end);
         sentences.join(" ")
     }
 
@@ -209,11 +175,4 @@ impl std::fmt::Display for EpisodeVehicle {
             None => write!(out, "vehicle {}", self.number),
         }
     }
-}
-
-/// Returns the limit, rounded up to a tenth, if the recording exceeds the class.
-fn raise_limit(class_mps2: f64, recorded_mps2: f64) -> Option<f64> {
-    (recorded_mps2 > class_mps2)
-        .then(|| (recorded_mps2 * 10.0).floor() / 10.0 + 0.1)
-        .map(round_to_milli)
 }

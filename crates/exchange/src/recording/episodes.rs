@@ -7,6 +7,7 @@ use super::episode::BrakingEpisode;
 use super::error::RecordingError;
 use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::motion::{BrakingEvent, SpeedSample, find_brakings, speed_at_mps};
+use super::vehicle_motion::VehicleMotion;
 use super::{MAX_PLAUSIBLE_ACCEL_MPS2, Recording};
 use crumple_core::digits::{format_fixed, format_number};
 
@@ -194,7 +195,11 @@ impl EpisodeWindow<'_> {
         }
         let end_ms = (self.braking.end_ms + TAIL_MS).min(self.next_onset_ms.unwrap_or(i64::MAX));
         let samples = self.samples_between(start.time_ms, end_ms);
-        let hardest = HardestAccelerations::new(samples)?;
+        let leader_motion = VehicleMotion::new(samples)?;
+        let last = Some(followers.len()).filter(|count| *count > 1);
+        let last_motion = last.map(|last| {
+            VehicleMotion::until_jump(&self.lead.speeds_of_follower(start, last, end_ms))
+        });
         let since_start_s = |time_ms: i64| (time_ms - start.time_ms) as f64 / 1000.0;
         let not_recorded_behind = self.lead.next_behind(followers.len());
         Ok(BrakingEpisode {
@@ -207,47 +212,11 @@ impl EpisodeWindow<'_> {
             onset_speed_mps: speed_at_mps(self.run, self.braking.onset_ms),
             end_speed_mps: speed_at_mps(self.run, self.braking.end_ms),
             largest_drop_mps: self.braking.largest_drop_mps,
-            hardest_brake_mps2: hardest.brake_mps2,
-            hardest_accel_mps2: hardest.accel_mps2,
             vehicles: [vec![self.lead.episode_vehicle(start)], followers].concat(),
             ahead: self.lead.vehicle_ahead_at(start),
             not_recorded_behind,
-            time_s: samples
-                .iter()
-                .map(|sample| since_start_s(sample.time_ms))
-                .collect(),
-            speed_mps: samples.iter().map(|sample| sample.speed_mps).collect(),
+            leader_motion,
+            last_motion,
         })
-    }
-}
-
-/// Hardest braking and acceleration between two samples, both positive, in m/s².
-struct HardestAccelerations {
-    brake_mps2: f64,
-    accel_mps2: f64,
-}
-
-impl HardestAccelerations {
-    /// Measures samples. The error is an acceleration that no vehicle has.
-    fn new(samples: &[SpeedSample]) -> Result<Self, EpisodeProblem> {
-        let mut hardest = Self {
-            brake_mps2: 0.0,
-            accel_mps2: 0.0,
-        };
-        for pair in samples.windows(2) {
-            if let [a, b] = pair {
-                let found_mps2 =
-                    1000.0 * (b.speed_mps - a.speed_mps) / (b.time_ms - a.time_ms) as f64;
-                if found_mps2.abs() > MAX_PLAUSIBLE_ACCEL_MPS2 {
-                    return Err(EpisodeProblem::SpeedJump {
-                        at_s: b.time_ms as f64 / 1000.0,
-                        found_mps2,
-                    });
-                }
-                hardest.brake_mps2 = hardest.brake_mps2.max(-found_mps2);
-                hardest.accel_mps2 = hardest.accel_mps2.max(found_mps2);
-            }
-        }
-        Ok(hardest)
     }
 }

@@ -28,7 +28,7 @@ fn a_braking_platoon_becomes_one_scenario() {
         "gaps stay the same behind a braking leader"
     );
     let scenario = only_episode(&braking_platoon(3))
-        .scenario("a-01".to_owned(), "a.csv")
+        .scenario("a-01".to_owned(), "a.csv", &FollowerDriver::Baseline)
         .expect("valid");
     // 4.5 s to 5.5 s loses 1.5 m/s, the second before less than 1.3; one second of lead-in precedes it.
     let Driver::Profile(LeadProfile::Recorded(lead)) = &scenario.vehicles()[0].driver else {
@@ -54,7 +54,7 @@ fn a_braking_platoon_becomes_one_scenario() {
         "{about}"
     );
     let scenario = only_episode(&braking_platoon(2))
-        .scenario("a-01".to_owned(), "a.csv")
+        .scenario("a-01".to_owned(), "a.csv", &FollowerDriver::Baseline)
         .expect("valid");
     assert_eq!(scenario.vehicles()[1].driver, Driver::UnderTest);
 }
@@ -119,7 +119,9 @@ fn the_first_recorded_vehicle_leads() {
         (episode.vehicles[0].number, episode.ahead),
         (2, VehicleAhead::NotRecorded(1))
     );
-    let scenario = episode.scenario("a".to_owned(), "a.csv").expect("valid");
+    let scenario = episode
+        .scenario("a".to_owned(), "a.csv", &FollowerDriver::Baseline)
+        .expect("valid");
     assert!(
         scenario
             .spec()
@@ -205,11 +207,14 @@ fn a_jump_of_the_speed_is_no_braking() {
     );
     // A hole of half a second is bridged; a longer one ends the run, and the last speed is held.
     let bridged = edited(&braking_platoon(2), 100..104, |fields| fields[1].clear());
-    assert_eq!(only_episode(&bridged).time_s.last(), Some(&15.0));
+    assert_eq!(
+        only_episode(&bridged).leader_motion.time_s.last(),
+        Some(&15.0)
+    );
     let ended = edited(&braking_platoon(2), 100..105, |fields| fields[1].clear());
     let episode = only_episode(&ended);
     assert_eq!(
-        (episode.time_s.last(), episode.duration_s),
+        (episode.leader_motion.time_s.last(), episode.duration_s),
         (Some(&6.4), 15.0)
     );
 }

@@ -27,6 +27,14 @@ pub enum RecordingError {
         /// Error of the system.
         source: io::Error,
     },
+    /// Two recordings with the same content.
+    #[error("{}: this recording is given twice: {} is equal", path.display(), other.display())]
+    Repeated {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Path of the earlier recording.
+        other: PathBuf,
+    },
     /// An empty file.
     #[error("{}: the recording is empty", path.display())]
     Empty {
@@ -62,7 +70,7 @@ pub enum RecordingError {
     Map(Box<FileError>),
     /// A threshold outside its range.
     #[error(
-        "min_brake_mps2: must be above 0 and at most {limit}, found {}",
+        "the deceleration of braking must be above 0 and at most {limit} m/s², found {}",
         format_number(*found),
         limit = super::MAX_PLAUSIBLE_ACCEL_MPS2
     )]
@@ -256,6 +264,9 @@ pub enum ColumnProblem {
     /// A column that contradicts others, for which the map has probably a wrong unit or sign.
     #[error("{0}; correct the map")]
     Contradiction(Box<ColumnContradiction>),
+    /// A column of the vehicle behind without a possible value.
+    #[error("{0}; correct the map, or leave the vehicle behind out of it")]
+    OnlyImpossible(String),
     /// An empty field that the row requires.
     #[error("must not be empty")]
     Empty,

@@ -7,11 +7,11 @@ use super::dropped::{Omission, SPEEDS_LEFT_OUT};
 use super::error::RecordingError;
 use super::load::load_first_rows;
 use super::map::{
-    ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec,
-    RecordingMap, RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec,
-    SpeedSpec, SpeedUnit, TimeSpec, TimeUnit, TracksSpec, unit_in_name, words,
+    BehindSpec, ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec,
+    PositionSpec, RecordingMap, RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing,
+    SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec, TimeUnit, TracksSpec, unit_in_name, words,
 };
-use super::series::NOT_LATER;
+use super::series::{MAX_USUAL_SPEED_MPS, NOT_LATER};
 use super::{LineProblem, RecordedTraffic, Recording};
 
 /// Words in the names of columns, in lower case.
@@ -22,6 +22,7 @@ const SPEEDS: &str =
     "speed velocity vel v geschwindigkeit mps kmh kph mph xvelocity vego vl vf vlead vrel tempo";
 const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus \
     vorausfahrend ziel objekt";
+const BEHIND: &str = "rear behind back hinten hinter heck";
 const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
 const EVENTS: &str = "event eventid episode episodeid pair pairid";
 const LANES: &str = "lane laneid spur fahrstreifen";
@@ -106,6 +107,9 @@ struct NamedColumns<'c> {
     vehicle: Option<&'c String>,
     lane: Option<&'c String>,
     length: Option<&'c String>,
+    spacing_behind: Option<&'c String>,
+    speed_behind: Option<&'c String>,
+    relative_behind: Option<&'c String>,
 }
 
 impl<'c> NamedColumns<'c> {
@@ -116,15 +120,18 @@ impl<'c> NamedColumns<'c> {
         ];
         Some(Self {
             time: columns.find(TIMES, &[SPACINGS])?,
-            spacing: columns.find(SPACINGS, &[RELATIVE, TIMES]),
-            relative: columns.find(RELATIVE, &[]),
-            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS]),
-            own: columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS]),
+            spacing: columns.find(SPACINGS, &[RELATIVE, TIMES, BEHIND]),
+            relative: columns.find(RELATIVE, &[BEHIND]),
+            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS, BEHIND]),
+            own: columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS, BEHIND]),
             position: columns.find(POSITIONS, &[SPEEDS, LEADERS]),
             event: columns.find(EVENTS, &[TIMES]),
             vehicle: columns.find(VEHICLES, &not_vehicle),
             lane: columns.find(LANES, &[LEADERS]),
-            length: columns.find(LENGTHS, &[LEADERS]),
+            length: columns.find(LENGTHS, &[LEADERS, BEHIND]),
+            spacing_behind: columns.find_both(SPACINGS, BEHIND, &[RELATIVE, TIMES]),
+            speed_behind: columns.find_both(SPEEDS, BEHIND, &[RELATIVE, TIMES, SPACINGS]),
+            relative_behind: columns.find_both(RELATIVE, BEHIND, &[]),
         })
     }
 
@@ -149,29 +156,52 @@ impl<'c> NamedColumns<'c> {
         if speeds.into_iter().flatten().count() < 2 {
             return Vec::new();
         }
-        let spacing = SpacingSpec {
-            column: spacing.clone(),
-            unit: unit_or_default(LengthUnit::ALL, spacing, length_unit),
-            from: Spacing::BumperToBumper,
-        };
+        let spacing = spacing_spec(spacing, length_unit);
         let mut layouts = Vec::new();
         for [follower, leader] in [[self.own, self.leader], [self.leader, self.own]] {
             for sign in [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader] {
-                layouts.push(LayoutSpec::Pairs(PairsSpec {
+                let pairs = PairsSpec {
                     event: self.event.cloned(),
                     spacing: spacing.clone(),
                     length_m: None,
                     follower_speed: follower.map(|name| speed(name, speed_unit)),
                     leader_speed: leader.map(|name| speed(name, speed_unit)),
-                    relative_speed: self.relative.map(|name| RelativeSpeedSpec {
-                        column: name.clone(),
-                        unit: unit_or_default(SpeedUnit::ALL, name, speed_unit),
-                        sign,
-                    }),
-                }));
+                    relative_speed: self
+                        .relative
+                        .map(|name| relative_speed(name, speed_unit, sign)),
+                    behind: None,
+                };
+                let behind = self.behind(speed_unit, length_unit);
+                let with_behind = behind.into_iter().map(|behind| PairsSpec {
+                    behind: Some(behind),
+                    ..pairs.clone()
+                });
+                layouts.extend(with_behind.map(LayoutSpec::Pairs));
+                layouts.push(LayoutSpec::Pairs(pairs));
             }
         }
         layouts
+    }
+
+    /// Returns the columns of the vehicle behind, with each sign of its relative speed.
+    fn behind(&self, speed_unit: &str, length_unit: &str) -> Vec<BehindSpec> {
+        let Some(spacing) = self.spacing_behind else {
+            return Vec::new();
+        };
+        let spacing = spacing_spec(spacing, length_unit);
+        let behind = |speed, relative_speed| BehindSpec {
+            spacing: spacing.clone(),
+            length_m: None,
+            speed,
+            relative_speed,
+        };
+        match (self.speed_behind, self.relative_behind) {
+            (Some(name), _) => vec![behind(Some(speed(name, speed_unit)), None)],
+            (None, Some(name)) => [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader]
+                .map(|sign| behind(None, Some(relative_speed(name, speed_unit, sign))))
+                .into(),
+            (None, None) => Vec::new(),
+        }
     }
 
     fn tracks(&self, speed_unit: &str, length_unit: &str) -> Option<LayoutSpec> {
@@ -203,6 +233,22 @@ fn speed(column: &str, unit: &str) -> SpeedSpec {
     }
 }
 
+fn relative_speed(column: &str, unit: &str, sign: Sign) -> RelativeSpeedSpec {
+    RelativeSpeedSpec {
+        column: column.to_owned(),
+        unit: unit_or_default(SpeedUnit::ALL, column, unit),
+        sign,
+    }
+}
+
+fn spacing_spec(column: &str, unit: &str) -> SpacingSpec {
+    SpacingSpec {
+        column: column.to_owned(),
+        unit: unit_or_default(LengthUnit::ALL, column, unit),
+        from: Spacing::BumperToBumper,
+    }
+}
+
 /// Returns the candidate maps, the likeliest first: without units, if the file states them.
 fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     let Some(named) = NamedColumns::find(columns) else {
@@ -223,7 +269,11 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     }
     // The layout weighs more than the units: a recording of pairs may contradict a map of tracks in no unit.
     let has_tracks_first = matches!(layouts.first(), Some(LayoutSpec::Tracks(_)));
-    layouts.sort_by_key(|layout| matches!(layout, LayoutSpec::Tracks(_)) != has_tracks_first);
+    // So do the columns of a vehicle behind.
+    layouts.sort_by_key(|layout| {
+        let is_other = matches!(layout, LayoutSpec::Tracks(_)) != has_tracks_first;
+        (is_other, !has_vehicle_behind(layout))
+    });
     let maps = layouts.into_iter().map(|layout| {
         let time = TimeSpec::Clock(ClockSpec {
             column: named.time.clone(),
@@ -232,6 +282,10 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
         RecordingMapSpec::new("draft".to_owned(), time, layout)
     });
     maps.collect()
+}
+
+fn has_vehicle_behind(layout: &LayoutSpec) -> bool {
+    matches!(layout, LayoutSpec::Pairs(pairs) if pairs.behind.is_some())
 }
 
 /// Returns the names of units; before them an empty one, if the file states units.
@@ -243,6 +297,19 @@ fn unit_names(
         .then_some("")
         .into_iter()
         .chain(units.iter().map(|(unit, _)| *unit))
+}
+
+/// Returns whether more than a hundredth of the speeds of pairs exceed those of traffic: their unit is probably km/h.
+fn has_unusual_speeds(recording: &Recording) -> bool {
+    let vehicles = || {
+        recording
+            .platoons
+            .iter()
+            .flat_map(|platoon| &platoon.vehicles)
+    };
+    let speeds_mps = || vehicles().flat_map(|vehicle| vehicle.speed_mps.iter().flatten());
+    let unusual = speeds_mps().filter(|speed_mps| **speed_mps > MAX_USUAL_SPEED_MPS);
+    100 * unusual.count() > speeds_mps().count()
 }
 
 /// Returns whether a recording fits its map: no columns contradict each other, the rows of pairs are in order of time,
@@ -259,6 +326,7 @@ fn is_consistent(recording: &Recording) -> bool {
         .is_none_or(RecordedTraffic::has_followers);
     let mut dropped = recording.dropped.iter();
     has_followers
+        && !has_unusual_speeds(recording)
         && !dropped.any(|item| match &item.omission {
             Omission::ColumnsContradict(_) => true,
             Omission::Counted { count, after, .. } => {
@@ -357,6 +425,24 @@ mod tests {
             guess(&path).unwrap().expect("a draft").map.layout,
             LayoutSpec::Tracks(_)
         ));
+    }
+
+    /// Gaps that never change contradict no unit, but no traffic drives at 77 m/s.
+    #[test]
+    fn drafts_read_speeds_beyond_those_of_traffic_in_kilometres_per_hour() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        for (most, expected) in [(77.0, "km/h"), (45.0, "m/s")] {
+            let row = |tenth: u32| {
+                let speed = most - 5.0 + 5.0 * (0.02 * f64::from(tenth)).sin();
+                format!("{:.1},30,{speed:.2},{speed:.2}\n", f64::from(tenth) / 10.0)
+            };
+            let rows: String = (0..600).map(row).collect();
+            std::fs::write(&path, format!("time,gap,speed,lead_speed\n{rows}")).unwrap();
+            let draft = guess(&path).unwrap().expect("a draft");
+            let text = serde_json::to_string(&draft.map).unwrap();
+            assert!(text.contains(&format!("\"unit\":\"{expected}\"")), "{text}");
+        }
     }
 
     /// Units and signs follow from the consistency of gaps and speeds, unless names state them; exchanged names do not.

@@ -1,26 +1,45 @@
 //! Import of recordings as scenario files. A recording that cannot be read stops the import.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use crumple_measure::is_far_behind;
 use crumple_sim::scenario::{Scenario, file::to_toml};
 
+use super::distinct::ensure_distinct;
 use super::dropped::{DroppedItem, EpisodeProblem, Omission};
 use super::episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
 use super::preview::{HardestBrakingResult, HardestSearch};
+use super::vehicle_line::FollowerDriver;
+use super::whole_drives::find_drives;
 use super::{ReadProgress, Recording, TextFormat, load_parts, merge_dropped};
 
 const MAX_FILE_STEM_CHARS: usize = 100;
 
 /// Options of an import.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ImportOptions {
     /// Smallest braking of an episode.
     pub min_brake: MinBrake,
-    /// Vehicles whose braking makes episodes.
+    /// Vehicles that lead scenarios.
     pub leaders: LeaderSelection,
+    /// Driver of the vehicle behind those under test.
+    pub follower: FollowerDriver,
+    /// Parts of the recording that become scenarios.
+    pub scope: ImportScope,
+}
+
+/// Parts of a recording that become scenarios.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ImportScope {
+    /// Braking episodes, with all vehicles behind the leader.
+    #[default]
+    Episodes,
+    /// Whole drives of at least half a minute of each vehicle behind its leader.
+    WholeDrives,
 }
 
 /// Result of the import of a set of recordings.
@@ -54,12 +73,16 @@ pub struct ImportedRecording {
     pub text: TextFormat,
     /// Number of scenarios.
     pub scenarios: usize,
+    /// Number of those without a vehicle behind the one under test, in which no collision from behind can happen.
+    pub without_vehicle_behind: usize,
+    /// Number of whole drives whose vehicle is far behind its leader, see [`is_far_behind`].
+    pub far_behind_leader: usize,
     /// Hardest braking of the recording, even if it makes no scenario.
     pub hardest: HardestBrakingResult,
 }
 
-/// Reads recordings, with a map if there is one, and passes the scenario of each braking episode to `take`, in the
-/// order of the recordings. The import ends early if `take` returns false.
+/// Reads recordings, with a map if there is one, and passes the scenario of each braking episode or drive to `take`, in
+/// the order of the recordings. The import ends early if `take` returns false.
 ///
 /// Names are unique and consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`. Files
 /// with the same name in different folders share one sequence of numbers.
@@ -73,6 +96,7 @@ pub fn import(
     progress: Option<&ReadProgress>,
     take: &mut dyn FnMut(ImportedScenario) -> bool,
 ) -> Result<ImportResult, RecordingError> {
+    ensure_distinct(paths)?;
     let mut imported = ImportResult::default();
     let mut numbers = BTreeMap::new();
     for path in paths {
@@ -97,6 +121,8 @@ struct FileImport {
     /// Name of the map, and format of the text.
     formats: Option<(String, TextFormat)>,
     scenarios: usize,
+    without_vehicle_behind: usize,
+    far_behind_leader: usize,
     hardest: HardestSearch,
     dropped: Vec<DroppedItem>,
     /// Episodes without scenario.
@@ -118,6 +144,8 @@ impl FileImport {
         self.hardest.add(&part);
         let dropped = import_part(&part, options, number, &mut |scenario| {
             self.scenarios += 1;
+            self.without_vehicle_behind += usize::from(scenario.scenario.ends_under_test());
+            self.far_behind_leader += usize::from(is_far_behind_leader(&scenario.scenario));
             self.ends_early = !take(scenario);
             !self.ends_early
         })?;
@@ -136,6 +164,8 @@ impl FileImport {
                 format,
                 text,
                 scenarios: self.scenarios,
+                without_vehicle_behind: self.without_vehicle_behind,
+                far_behind_leader: self.far_behind_leader,
                 hardest: self.hardest.finish(),
             });
         }
@@ -149,18 +179,27 @@ fn import_part(
     number: &mut usize,
     take: &mut dyn FnMut(ImportedScenario) -> bool,
 ) -> Result<Vec<DroppedItem>, RecordingError> {
+    match options.scope {
+        ImportScope::Episodes => import_episodes(recording, options, number, take),
+        ImportScope::WholeDrives => import_drives(recording, options, number, take),
+    }
+}
+
+/// Passes on the scenarios of the braking episodes. Returns the episodes without scenario.
+fn import_episodes(
+    recording: &Recording,
+    options: &ImportOptions,
+    number: &mut usize,
+    take: &mut dyn FnMut(ImportedScenario) -> bool,
+) -> Result<Vec<DroppedItem>, RecordingError> {
     let FoundEpisodes {
         episodes,
         mut dropped,
     } = find_episodes(recording, options.min_brake, options.leaders);
-    let file = recording
-        .path
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy();
+    let file = file_name(recording);
     for episode in &episodes {
         let name = format!("{}-{:02}", prefix(recording), *number + 1);
-        match episode.scenario(name.clone(), &file) {
+        match episode.scenario(name.clone(), &file, &options.follower) {
             Ok(scenario) => {
                 *number += 1;
                 if !take(render(scenario, name, recording)?) {
@@ -179,6 +218,55 @@ fn import_part(
         }
     }
     Ok(dropped)
+}
+
+/// Passes on the scenarios of the whole drives. Returns the drives without scenario.
+fn import_drives(
+    recording: &Recording,
+    options: &ImportOptions,
+    number: &mut usize,
+    take: &mut dyn FnMut(ImportedScenario) -> bool,
+) -> Result<Vec<DroppedItem>, RecordingError> {
+    let mut dropped = Vec::new();
+    let file = file_name(recording);
+    for drive in find_drives(recording, options.leaders) {
+        let name = format!("{}-drive-{:02}", prefix(recording), *number + 1);
+        match drive.scenario(name.clone(), &file, &options.follower) {
+            Ok(scenario) => {
+                *number += 1;
+                if !take(render(scenario, name, recording)?) {
+                    break;
+                }
+            }
+            Err(reason) => dropped.push(DroppedItem {
+                path: recording.path.clone(),
+                line: drive.line,
+                omission: Omission::Drive {
+                    number: drive.vehicles.first().map_or(0, |leader| leader.number),
+                    start_s: drive.start_s,
+                    reason,
+                },
+            }),
+        }
+    }
+    Ok(dropped)
+}
+
+/// True for a drive whose recorded vehicle is too far behind its leader to follow it.
+fn is_far_behind_leader(scenario: &Scenario) -> bool {
+    let mut motions = scenario
+        .vehicles()
+        .iter()
+        .filter_map(|vehicle| vehicle.recorded.as_ref());
+    motions.any(|motion| is_far_behind(motion))
+}
+
+fn file_name(recording: &Recording) -> Cow<'_, str> {
+    recording
+        .path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
 }
 
 /// Returns a scenario with its file.

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::episode::EpisodeVehicle;
-use super::motion::{SpeedSample, platoon_segments};
+use super::motion::{SpeedSample, platoon_samples, split_at_holes};
 use super::series::round_to_milli;
 use super::{RecordedPlatoon, RecordedTraffic, Recording};
 
@@ -30,6 +30,13 @@ pub(super) trait LeadVehicle {
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle>;
     /// Returns the speed of the next follower, if at least `followers` followers have known speeds and gaps.
     fn follower_speed_at_mps(&self, sample: &SpeedSample, followers: usize) -> Option<f64>;
+    /// Returns the speeds of a follower, counted from 1, from a sample on, until a time or a hole of half a second.
+    fn speeds_of_follower(
+        &self,
+        start: &SpeedSample,
+        follower: usize,
+        until_ms: i64,
+    ) -> Vec<SpeedSample>;
     /// Returns the number of the vehicle behind the first `followers` followers, if recorded.
     fn next_behind(&self, followers: usize) -> Option<usize>;
     fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead;
@@ -43,7 +50,7 @@ impl Recording {
     /// Returns all vehicles with a follower, front to rear.
     pub(super) fn lead_vehicles(&self) -> Vec<Box<dyn LeadVehicle + '_>> {
         let in_platoons = self.platoons.iter().flat_map(|platoon| {
-            let leads = 0..platoon.vehicles.len().saturating_sub(1);
+            let leads = 0..platoon.lead_count;
             leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
         });
         in_platoons
@@ -84,7 +91,7 @@ impl PlatoonLead<'_> {
 
 impl LeadVehicle for PlatoonLead<'_> {
     fn segments(&self) -> Vec<Vec<SpeedSample>> {
-        platoon_segments(self.platoon, self.index)
+        split_at_holes(platoon_samples(self.platoon, self.index, 0))
     }
 
     fn number(&self) -> usize {
@@ -115,6 +122,20 @@ impl LeadVehicle for PlatoonLead<'_> {
             .next()
             .filter(|_| are_known)
             .and_then(|next| Some(self.platoon.gap_and_speed(next, sample.index)?.1))
+    }
+
+    fn speeds_of_follower(
+        &self,
+        start: &SpeedSample,
+        follower: usize,
+        until_ms: i64,
+    ) -> Vec<SpeedSample> {
+        let samples = platoon_samples(self.platoon, self.index + follower, start.index)
+            .take_while(|sample| sample.time_ms <= until_ms);
+        split_at_holes(samples)
+            .into_iter()
+            .next()
+            .unwrap_or_default()
     }
 
     fn next_behind(&self, followers: usize) -> Option<usize> {

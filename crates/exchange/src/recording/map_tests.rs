@@ -65,8 +65,8 @@ fn episode_data(recording: &Recording) -> Vec<[Vec<f64>; 4]> {
                 .collect();
             [
                 vec![episode.start_s, episode.duration_s],
-                episode.time_s,
-                episode.speed_mps,
+                episode.leader_motion.time_s,
+                episode.leader_motion.speed_mps,
                 states,
             ]
         })

@@ -8,10 +8,15 @@
 //! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 
 mod acceleration;
+mod behind;
+#[cfg(test)]
+mod behind_tests;
 mod binary;
 #[cfg(test)]
 mod cases_tests;
 mod consistency;
+mod distinct;
+mod drive;
 mod dropped;
 mod episode;
 mod episodes;
@@ -64,17 +69,25 @@ mod tracks;
 mod traffic;
 #[cfg(test)]
 mod traffic_tests;
+mod vehicle_line;
+mod vehicle_motion;
+mod whole_drives;
+#[cfg(test)]
+mod whole_drives_tests;
 
 use std::ops::Range;
 use std::path::PathBuf;
 
 pub use consistency::ColumnContradiction;
+pub use distinct::ensure_distinct;
 pub use dropped::{DroppedItem, EpisodeProblem, Omission};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 pub use error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
-pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
+pub use import::{
+    ImportOptions, ImportResult, ImportScope, ImportedRecording, ImportedScenario, import,
+};
 pub use lead_vehicles::VehicleAhead;
 pub use load::{ReadProgress, load, load_first_part, load_parts, read};
 pub use parts::{PartSink, merge_dropped};
@@ -85,6 +98,9 @@ pub use preview::{
 pub use report::{ImportReport, RecordingImport, RecordingSummary};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
+pub use vehicle_line::FollowerDriver;
+pub use vehicle_motion::VehicleMotion;
+pub use whole_drives::{MAX_DRIVE_S, MIN_DRIVE_S, WholeDrive, find_drives};
 
 /// True if this build reads ASAM MDF 4.
 pub const READS_MDF: bool = cfg!(feature = "mdf");
@@ -126,6 +142,9 @@ pub struct RecordedPlatoon {
     /// Vehicles, front to rear.
     pub vehicles: Vec<RecordedVehicle>,
     gaps_m: Vec<Vec<Option<f64>>>,
+    /// Number of vehicles, from the first on, that may lead a scenario. The vehicle behind a pair is no subject of a
+    /// test, so that its leader does not lead.
+    lead_count: usize,
     /// Times at which braking belongs to this part of the recording.
     core_ms: Range<i64>,
 }

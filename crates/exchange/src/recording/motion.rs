@@ -37,19 +37,24 @@ pub(super) struct BrakingEvent {
     pub(super) hardest_ms: i64,
 }
 
-/// Returns the segments of the motion of a vehicle of a platoon.
-pub(super) fn platoon_segments(platoon: &RecordedPlatoon, vehicle: usize) -> Vec<Vec<SpeedSample>> {
-    let Some(vehicle) = platoon.vehicles.get(vehicle) else {
-        return Vec::new();
-    };
-    let samples = platoon.time_s.iter().zip(&vehicle.speed_mps).enumerate();
-    split_at_holes(samples.filter_map(|(index, (&time_s, &speed_mps))| {
+/// Returns the known speeds of a vehicle of a platoon, from a sample on.
+pub(super) fn platoon_samples(
+    platoon: &RecordedPlatoon,
+    vehicle: usize,
+    from: usize,
+) -> impl Iterator<Item = SpeedSample> {
+    let speeds = platoon
+        .vehicles
+        .get(vehicle)
+        .map_or(&[][..], |vehicle| &vehicle.speed_mps);
+    let samples = platoon.time_s.iter().zip(speeds).enumerate().skip(from);
+    samples.filter_map(|(index, (&time_s, &speed_mps))| {
         Some(SpeedSample {
             index,
             time_ms: (time_s * 1000.0).round() as i64,
             speed_mps: round_to_milli(speed_mps?),
         })
-    }))
+    })
 }
 
 /// Splits samples at holes longer than half a second.

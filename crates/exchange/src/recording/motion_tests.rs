@@ -114,7 +114,7 @@ proptest! {
         }
         let min_brake = MinBrake::new(threshold).expect("in range");
         for episode in find_episodes(&recording, min_brake, LeaderSelection::Any).episodes {
-            let scenario = episode.scenario("drawn".to_owned(), "a.csv").expect("valid");
+            let scenario = episode.scenario("drawn".to_owned(), "a.csv", &FollowerDriver::Human).expect("valid");
             let row = usize::try_from(episode.line).expect("small") - 8;
             for (index, vehicle) in scenario.vehicles().iter().enumerate() {
                 let column = episode.vehicles[0].number - motion.first + index;

@@ -16,14 +16,22 @@ type ColumnAndUnit<'s> = (&'s str, f64);
 impl EventReader<'_> {
     /// Compares the closing speed with both speeds, and the gap with the closing speed.
     pub(super) fn check(
-        &self,
+        &mut self,
         table: &RowReader<'_>,
         dropped: &mut Vec<DroppedItem>,
     ) -> Result<(), RecordingError> {
         let speeds = [&self.leader, &self.follower].map(column_and_unit);
         let relative = column_and_unit(&self.relative);
         self.check_closing_speed(relative, speeds, table, dropped)?;
-        self.check_gap(relative, speeds, table, dropped)
+        self.check_gap(relative, speeds, table, dropped)?;
+        let [_, (follower, _)] = speeds;
+        match &mut self.behind {
+            Some(behind) => {
+                let time = (self.map, self.clock.column.factor);
+                behind.check(follower, time, table, dropped)
+            }
+            None => Ok(()),
+        }
     }
 
     /// Compares the relative speed with the speeds of leader and follower.
@@ -37,10 +45,13 @@ impl EventReader<'_> {
         let [(leader, _), (follower, _)] = speeds;
         let difference = format!("{leader} - {follower}");
         let units = (SpeedUnit::ALL, relative_unit);
-        let hypotheses: Vec<_> = iter::once(opposite_sign(relative, [-1.0, 1.0, 1.0]))
-            .chain(Hypothesis::units(relative, units, [true, false, false]))
-            .chain(Hypothesis::speeds(speeds, &difference))
-            .collect();
+        let hypotheses: Vec<_> = iter::once(Hypothesis {
+            factors: [-1.0, 1.0, 1.0],
+            ..Hypothesis::opposite_sign(relative)
+        })
+        .chain(Hypothesis::units(relative, units, [true, false, false]))
+        .chain(Hypothesis::speeds(speeds, &difference))
+        .collect();
         self.closing.check(
             table,
             relative,
@@ -64,7 +75,7 @@ impl EventReader<'_> {
         let mut hypotheses = Vec::new();
         if has_relative {
             let units = (SpeedUnit::ALL, relative_unit);
-            hypotheses.push(opposite_sign(relative, [1.0, -1.0, -1.0]));
+            hypotheses.push(Hypothesis::opposite_sign(relative));
             hypotheses.extend(Hypothesis::units(relative, units, [false, true, true]));
         } else {
             hypotheses.push(Hypothesis {
@@ -90,17 +101,9 @@ impl EventReader<'_> {
 }
 
 /// Returns name and unit of a column of speeds; an empty name if there is no such column.
-fn column_and_unit(series: &Option<Series>) -> ColumnAndUnit<'_> {
+pub(super) fn column_and_unit(series: &Option<Series>) -> ColumnAndUnit<'_> {
     match series {
         Some(series) => (series.column.name.as_str(), series.column.factor.abs()),
         None => ("", 1.0),
-    }
-}
-
-/// Returns the hypothesis that a column has the opposite sign.
-fn opposite_sign(column: &str, factors: [f64; 3]) -> Hypothesis {
-    Hypothesis {
-        factors,
-        reason: format!("{column} has the opposite sign"),
     }
 }

@@ -1,7 +1,8 @@
-//! Recordings of pairs: each row holds one leader and one follower of an event at one instant.
+//! Recordings of pairs: each row holds one leader and one follower of an event at one instant, and perhaps the vehicle
+//! behind.
 //!
-//! Rows of one event are consecutive; each event becomes a platoon of two. The relative speed supplies a missing speed,
-//! or is checked against both.
+//! Rows of one event are consecutive; each event becomes a platoon of two or three. The relative speed supplies a
+//! missing speed, or is checked against both.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -9,6 +10,7 @@ use std::ops::Range;
 use std::{iter, mem};
 
 use super::acceleration::AccelerationCheck;
+use super::behind::{BehindReader, BehindState};
 use super::consistency::Comparison;
 use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT};
 use super::error::{ColumnProblem, RecordingError};
@@ -61,6 +63,9 @@ pub(super) fn read(
     for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
         series.report(table.path(), table.samples, &mut dropped);
     }
+    if let Some(behind) = &events.behind {
+        behind.report(table, &mut dropped)?;
+    }
     let mut last = events.part(table, dropped)?;
     events.clock.report(&mut last.dropped);
     last.dropped.extend(events.contradictions);
@@ -90,14 +95,15 @@ pub(super) struct EventReader<'m> {
     pub(super) follower: Option<Series>,
     pub(super) relative: Option<Series>,
     pub(super) leader: Option<Series>,
+    pub(super) behind: Option<BehindReader>,
     contradictions: Option<DroppedItem>,
     /// Changes of the gap against closing speeds, and closing speeds against both speeds.
     pub(super) gap_change: Comparison,
     pub(super) closing: Comparison,
     /// Line of the first switch to another target, and all switches.
     switches: Option<(u64, Omission)>,
-    /// First line and number of interpolated spacings, follower speeds and leader speeds.
-    interpolated: [Option<(u64, usize)>; 3],
+    /// First line and number of interpolated values of each column of [`PairSamples`].
+    interpolated: [Option<(u64, usize)>; 5],
 }
 
 impl<'m> EventReader<'m> {
@@ -115,7 +121,7 @@ impl<'m> EventReader<'m> {
             ],
             platoons: Vec::new(),
             finished_rows: 0,
-            bounds: PartBounds::new(3),
+            bounds: PartBounds::new(values_per_row(pairs)),
             column: pairs
                 .event
                 .as_ref()
@@ -129,11 +135,16 @@ impl<'m> EventReader<'m> {
             follower: find_speed(names, pairs.follower_speed.as_ref())?,
             relative: find_relative_speed(names, pairs.relative_speed.as_ref())?,
             leader: find_speed(names, pairs.leader_speed.as_ref())?,
+            behind: pairs
+                .behind
+                .as_ref()
+                .map(|behind| BehindReader::find(names, behind))
+                .transpose()?,
             contradictions: None,
             gap_change: Comparison::default(),
             closing: Comparison::default(),
             switches: None,
-            interpolated: [None; 3],
+            interpolated: [None; 5],
         })
     }
 
@@ -212,6 +223,11 @@ impl<'m> EventReader<'m> {
                 acceleration.add(time_and_line, speed_mps, value);
             }
         }
+        if let Some(behind) = &mut self.behind {
+            let BehindState { gap_m, speed_mps } = behind.read(row, now_s, follower_mps)?;
+            self.samples.gaps_behind_m.push(gap_m);
+            self.samples.behind_mps.push(speed_mps);
+        }
         self.samples.time_s.push(now_s);
         self.samples.line.push(row.line);
         self.samples.gaps_m.push(gap_m);
@@ -289,6 +305,7 @@ impl<'m> EventReader<'m> {
     fn finish_event(&mut self) {
         self.clock.restart();
         self.gap_change.restart();
+        self.behind.iter_mut().for_each(BehindReader::restart);
         self.accelerations
             .iter_mut()
             .flatten()
@@ -300,7 +317,7 @@ impl<'m> EventReader<'m> {
         if let (Some(&last_s), Some(&last_line)) = (samples.time_s.last(), samples.line.last()) {
             self.finished.insert(hash_of(&event), (last_s, last_line));
         }
-        let part = mem::replace(&mut self.bounds, PartBounds::new(3)).next();
+        let part = self.bounds.restarted().next();
         self.add_platoons(&event, &part.core_ms, samples);
     }
 
@@ -323,25 +340,8 @@ impl<'m> EventReader<'m> {
         self.fill_holes(&mut samples);
         let event = self.column.is_some().then(|| excerpt(event));
         for pair in samples.split(&mut self.switches) {
-            self.platoons.push(RecordedPlatoon {
-                event: event.clone(),
-                time_s: pair.time_s,
-                line: pair.line,
-                vehicles: vec![
-                    RecordedVehicle {
-                        number: 1,
-                        name: Some("leader".to_owned()),
-                        speed_mps: pair.leaders_mps,
-                    },
-                    RecordedVehicle {
-                        number: 2,
-                        name: Some("follower".to_owned()),
-                        speed_mps: pair.followers_mps,
-                    },
-                ],
-                gaps_m: vec![pair.gaps_m],
-                core_ms: core_ms.clone(),
-            });
+            self.platoons
+                .push(platoon(pair, event.clone(), core_ms.clone()));
         }
     }
 
@@ -353,11 +353,17 @@ impl<'m> EventReader<'m> {
             gaps_m,
             followers_mps,
             leaders_mps,
+            gaps_behind_m,
+            behind_mps,
         } = samples;
-        for (values, interpolated) in [gaps_m, followers_mps, leaders_mps]
-            .into_iter()
-            .zip(&mut self.interpolated)
-        {
+        let columns = [
+            gaps_m,
+            followers_mps,
+            leaders_mps,
+            gaps_behind_m,
+            behind_mps,
+        ];
+        for (values, interpolated) in columns.into_iter().zip(&mut self.interpolated) {
             if let Some((count, first)) = interpolate_holes(values, time_s, self.map.interpolate_s)
             {
                 interpolated
@@ -374,7 +380,13 @@ impl<'m> EventReader<'m> {
         mut dropped: Vec<DroppedItem>,
     ) -> Result<Recording, RecordingError> {
         let path = table.path();
-        let columns = ["spacings", "the follower's speed", "the leader's speed"];
+        let columns = [
+            "spacings",
+            "the follower's speed",
+            "the leader's speed",
+            "spacings behind",
+            "the speed of the vehicle behind",
+        ];
         for (column, interpolated) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
             dropped.extend(interpolated.map(|(line, count)| DroppedItem {
                 path: path.to_owned(),
@@ -409,6 +421,41 @@ impl<'m> EventReader<'m> {
     }
 }
 
+/// Converts samples to a platoon of leader and follower and, if there are columns of it, the vehicle behind.
+fn platoon(pair: PairSamples, event: Option<String>, core_ms: Range<i64>) -> RecordedPlatoon {
+    let mut vehicles = vec![
+        pair_vehicle(1, "leader", pair.leaders_mps),
+        pair_vehicle(2, "follower", pair.followers_mps),
+    ];
+    let mut gaps_m = vec![pair.gaps_m];
+    if !pair.behind_mps.is_empty() {
+        vehicles.push(pair_vehicle(3, "behind", pair.behind_mps));
+        gaps_m.push(pair.gaps_behind_m);
+    }
+    RecordedPlatoon {
+        event,
+        time_s: pair.time_s,
+        line: pair.line,
+        vehicles,
+        gaps_m,
+        lead_count: 1,
+        core_ms,
+    }
+}
+
+fn pair_vehicle(number: usize, name: &str, speed_mps: Vec<Option<f64>>) -> RecordedVehicle {
+    RecordedVehicle {
+        number,
+        name: Some(name.to_owned()),
+        speed_mps,
+    }
+}
+
+/// Returns the number of speeds and gaps in a row.
+fn values_per_row(pairs: &PairsSpec) -> usize {
+    if pairs.behind.is_some() { 5 } else { 3 }
+}
+
 /// Speeds of a row, as far as they are recorded.
 #[derive(Debug, Clone, Copy)]
 struct PairSpeeds {
@@ -431,7 +478,7 @@ impl PairSpeeds {
     }
 }
 
-fn possible_speed(speed_mps: f64) -> Option<f64> {
+pub(super) fn possible_speed(speed_mps: f64) -> Option<f64> {
     Some(speed_mps).filter(|speed_mps| ColumnQuantity::Speed.allows(*speed_mps))
 }
 
@@ -446,14 +493,17 @@ fn read_optional(
     }
 }
 
-fn find_spacing(names: &CsvRow<'_>, spacing: &SpacingSpec) -> Result<Series, RecordingError> {
+pub(super) fn find_spacing(
+    names: &CsvRow<'_>,
+    spacing: &SpacingSpec,
+) -> Result<Series, RecordingError> {
     let unit = LengthUnit::column_unit(spacing.unit);
     let column = CsvColumn::find(names, &spacing.column, unit)?;
     Ok(Series::new(column, ColumnQuantity::Gap))
 }
 
 /// Finds the column of a speed, if the map names one.
-fn find_speed(
+pub(super) fn find_speed(
     names: &CsvRow<'_>,
     speed: Option<&SpeedSpec>,
 ) -> Result<Option<Series>, RecordingError> {
@@ -466,7 +516,7 @@ fn find_speed(
 }
 
 /// Finds the column of the relative speed, and gives it the sign of the leader's speed minus the follower's.
-fn find_relative_speed(
+pub(super) fn find_relative_speed(
     names: &CsvRow<'_>,
     speed: Option<&RelativeSpeedSpec>,
 ) -> Result<Option<Series>, RecordingError> {

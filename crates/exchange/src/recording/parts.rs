@@ -53,6 +53,12 @@ impl PartBounds {
         time_ms >= self.core_ms.end.saturating_add(MARGIN_MS) || self.rows > 2 * PART_ROWS
     }
 
+    /// Returns these bounds, and restarts them for another series.
+    pub(super) fn restarted(&mut self) -> Self {
+        let fresh = Self::new(self.values_per_row);
+        std::mem::replace(self, fresh)
+    }
+
     /// Ends the part, and begins the next one.
     pub(super) fn next(&mut self) -> EndedPart {
         let from_ms = self.core_ms.end;

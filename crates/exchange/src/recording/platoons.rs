@@ -157,6 +157,7 @@ impl<'m> PlatoonReader<'m> {
                 line: self.line.clone(),
                 vehicles,
                 gaps_m: gaps_m.collect(),
+                lead_count: numbers.len().saturating_sub(1),
                 core_ms: core_ms.clone(),
             });
         }

@@ -62,6 +62,38 @@ impl HardestBraking {
     }
 }
 
+/// Describes samples that are too far apart, and the unit of the time that would explain it.
+fn describe_distance(step_s: f64) -> [String; 2] {
+    let distance = format!(
+        "the speeds of a vehicle are {} s apart, more than the limit of {} s",
+        format_fixed(step_s, 3),
+        MAX_HOLE_MS as f64 / 1000.0
+    );
+    let hint = match step_s {
+        1e6.. => ", unless the unit of the time is ns",
+        1e3.. => ", unless the unit of the time is us",
+        5.0.. => ", unless the unit of the time is ms",
+        _ => "",
+    };
+    [distance, hint.to_owned()]
+}
+
+impl HardestBrakingResult {
+    /// Returns the reason why the recording has no drive without holes, if it is in the speeds, as the rest of a
+    /// sentence about a file.
+    #[must_use]
+    pub fn describe_holes(&self) -> Option<String> {
+        match self {
+            Self::SamplesTooFarApart { step_s } => {
+                let [distance, hint] = describe_distance(*step_s);
+                Some(format!("{distance}, so that every drive has holes{hint}"))
+            }
+            Self::NoSpeed => Some("no vehicle that can be a leader has a known speed".to_owned()),
+            _ => None,
+        }
+    }
+}
+
 /// Writes the result as the rest of a sentence about a file.
 impl fmt::Display for HardestBrakingResult {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -71,19 +103,10 @@ impl fmt::Display for HardestBrakingResult {
             Self::NoSpeed => out.write_str(
                 "no vehicle that can be a leader has a known speed, so crumple cannot find braking",
             ),
-            Self::SamplesTooFarApart { step_s } => write!(
-                out,
-                "the speeds of a vehicle are {} s apart, more than the limit of {} s: crumple cannot find \
-                    braking{}",
-                format_fixed(*step_s, 3),
-                MAX_HOLE_MS as f64 / 1000.0,
-                match step_s {
-                    1e6.. => ", unless the unit of the time is ns",
-                    1e3.. => ", unless the unit of the time is us",
-                    5.0.. => ", unless the unit of the time is ms",
-                    _ => "",
-                }
-            ),
+            Self::SamplesTooFarApart { step_s } => {
+                let [distance, hint] = describe_distance(*step_s);
+                write!(out, "{distance}: crumple cannot find braking{hint}")
+            }
             Self::TooShort { longest_s } => write!(
                 out,
                 "no vehicle has a known speed for a whole second without a gap in the data, {} s at most: \
@@ -124,6 +147,8 @@ pub struct SpeedLine {
     pub speed_mps: Vec<(f64, f64)>,
     /// Time in seconds, and bumper gap from this vehicle to its follower, in metres.
     pub gap_behind_m: Vec<(f64, f64)>,
+    /// Time in seconds, and speed of that follower, in m/s.
+    pub speed_behind_mps: Vec<(f64, f64)>,
 }
 
 /// Summarises a recording; `None` if no speed is known.
@@ -140,6 +165,7 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
             number: lead.number(),
             speed_mps: Vec::new(),
             gap_behind_m: Vec::new(),
+            speed_behind_mps: Vec::new(),
         };
         steps_s.extend(sample_intervals(&**lead));
         for run in lead.segments() {
@@ -151,6 +177,7 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
                 if let Some(next) = lead.followers_at(sample).first() {
                     gaps_m.push(next.gap_ahead_m);
                     line.gap_behind_m.push((now_s, next.gap_ahead_m));
+                    line.speed_behind_mps.push((now_s, next.speed_mps));
                 }
             }
         }

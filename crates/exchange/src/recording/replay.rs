@@ -1,6 +1,6 @@
 //! Open-loop replay: the commands of a controller that observes a recorded drive and cannot change it.
 
-use super::lead_vehicles::LeadVehicle;
+use super::drive::{DriveInstant, DriveState, interpolate_states, split_drives};
 use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
 use crumple_core::digits::format_fixed;
@@ -16,7 +16,7 @@ const STEP_S: f64 = 0.05;
 /// Number of steps over which accelerations are measured, so that the noise of speeds is no braking.
 const ACCELERATION_STEPS: usize = 10;
 /// Shortest drive that is replayed, in seconds.
-const MIN_DRIVE_S: f64 = 1.0;
+const MIN_REPLAY_S: f64 = 1.0;
 
 /// A drive of one vehicle behind another, without holes.
 #[derive(Debug, Clone, PartialEq)]
@@ -72,15 +72,6 @@ pub enum OpenLoopError {
     },
 }
 
-/// Leader, the vehicle itself and its follower at one time.
-#[derive(Clone)]
-struct Instant {
-    time_s: f64,
-    leader_mps: f64,
-    vehicle: EpisodeVehicle,
-    behind: Option<EpisodeVehicle>,
-}
-
 /// Replays every recorded drive behind a leader. `options` names the controller, which observes the recorded state;
 /// brakings count from `min_brake_mps2` on. `advance` receives the replayed seconds, and those of all leaders.
 ///
@@ -102,9 +93,9 @@ pub fn replay(
     let mut done_s = 0.0;
     for lead in &leads {
         for segment in lead.segments() {
-            for drive in drives(&**lead, &segment) {
+            for drive in split_drives(&**lead, &segment, DriveInstant::has_same_follower) {
                 let steps = resample(&drive);
-                let lasts_long = steps.len() as f64 * STEP_S >= MIN_DRIVE_S;
+                let lasts_long = steps.len() as f64 * STEP_S >= MIN_REPLAY_S;
                 if let Some(first) = drive.first().filter(|_| lasts_long) {
                     let commands_mps2 = commands(first, &steps, options, &|now_s| {
                         advance(done_s + now_s - first.time_s, total_s);
@@ -132,88 +123,6 @@ fn segment_duration_s(segment: &[SpeedSample]) -> f64 {
         })
 }
 
-/// Splits a segment where the follower changes.
-fn drives(lead: &dyn LeadVehicle, segment: &[SpeedSample]) -> Vec<Vec<Instant>> {
-    let mut drives: Vec<Vec<Instant>> = Vec::new();
-    let mut is_open = false;
-    for sample in segment
-        .iter()
-        .filter(|sample| lead.core_ms().contains(&sample.time_ms))
-    {
-        let mut followers = lead.followers_at(sample).into_iter();
-        let Some(vehicle) = followers.next() else {
-            is_open = false;
-            continue;
-        };
-        let time_s = sample.time_ms as f64 / 1000.0;
-        let instant = Instant {
-            time_s,
-            leader_mps: sample.speed_mps,
-            vehicle,
-            behind: followers.next(),
-        };
-        match drives.last_mut() {
-            Some(drive)
-                if is_open
-                    && drive
-                        .last()
-                        .is_some_and(|last| last.has_same_vehicles(&instant)) =>
-            {
-                drive.push(instant);
-            }
-            _ => drives.push(vec![instant]),
-        }
-        is_open = true;
-    }
-    drives
-}
-
-impl Instant {
-    fn has_same_vehicles(&self, other: &Self) -> bool {
-        let [behind, other_behind] =
-            [self, other].map(|instant| instant.behind.as_ref().map(|vehicle| vehicle.number));
-        self.vehicle.number == other.vehicle.number && behind == other_behind
-    }
-
-    /// Returns speeds and gaps of all three vehicles.
-    fn state(&self) -> DriveState {
-        let [gap_behind_m, behind_mps] = self
-            .behind
-            .as_ref()
-            .map_or([0.0; 2], |behind| [behind.gap_ahead_m, behind.speed_mps]);
-        DriveState {
-            leader_mps: self.leader_mps,
-            gap_m: self.vehicle.gap_ahead_m,
-            speed_mps: self.vehicle.speed_mps,
-            gap_behind_m,
-            behind_mps,
-        }
-    }
-}
-
-/// Speeds and gaps of the three vehicles at one time; 0 for a missing follower.
-struct DriveState {
-    leader_mps: f64,
-    gap_m: f64,
-    speed_mps: f64,
-    gap_behind_m: f64,
-    behind_mps: f64,
-}
-
-impl DriveState {
-    /// Returns the state at a share of the way to another one.
-    fn interpolate(&self, to: &Self, share: f64) -> Self {
-        let between = |from: f64, to: f64| from + share * (to - from);
-        Self {
-            leader_mps: between(self.leader_mps, to.leader_mps),
-            gap_m: between(self.gap_m, to.gap_m),
-            speed_mps: between(self.speed_mps, to.speed_mps),
-            gap_behind_m: between(self.gap_behind_m, to.gap_behind_m),
-            behind_mps: between(self.behind_mps, to.behind_mps),
-        }
-    }
-}
-
 /// Observation of the controller at a time of the recording.
 struct ReplayStep {
     time_s: f64,
@@ -221,38 +130,16 @@ struct ReplayStep {
 }
 
 /// Interpolates a drive to the time step, with the time of the recording.
-fn resample(drive: &[Instant]) -> Vec<ReplayStep> {
+fn resample(drive: &[DriveInstant]) -> Vec<ReplayStep> {
     let Some(first) = drive.first() else {
         return Vec::new();
     };
-    let states = interpolate_states(drive);
+    let states = interpolate_states(drive, STEP_S);
     let steps = (0..states.len()).map(|step| ReplayStep {
         time_s: first.time_s + step as f64 * STEP_S,
         observed: observe(&states, step, first.behind.is_some()),
     });
     steps.collect()
-}
-
-/// Returns the state at each step, interpolated between samples.
-fn interpolate_states(drive: &[Instant]) -> Vec<DriveState> {
-    let Some((first, last)) = drive.first().zip(drive.last()) else {
-        return Vec::new();
-    };
-    let count = ((last.time_s - first.time_s) / STEP_S + 1e-6) as usize;
-    let mut after = 1;
-    let mut states = Vec::with_capacity(count);
-    for step in 0..count {
-        let at_s = first.time_s + step as f64 * STEP_S;
-        while drive.get(after).is_some_and(|next| next.time_s <= at_s) {
-            after += 1;
-        }
-        let Some((from, to)) = drive.get(after - 1).zip(drive.get(after)) else {
-            break;
-        };
-        let share = ((at_s - from.time_s) / (to.time_s - from.time_s)).clamp(0.0, 1.0);
-        states.push(from.state().interpolate(&to.state(), share));
-    }
-    states
 }
 
 /// Returns the observation of the controller at a step.
@@ -279,7 +166,7 @@ fn observe(states: &[DriveState], step: usize, has_follower: bool) -> Observatio
 
 /// Returns the acceleration that the controller commands at each step, within the limits of the vehicle.
 fn commands(
-    first: &Instant,
+    first: &DriveInstant,
     steps: &[ReplayStep],
     options: &RunOptions,
     advance: &dyn Fn(f64),
@@ -303,8 +190,13 @@ fn commands(
 }
 
 /// Returns a scenario of the vehicles at the start of a drive, of which the controller drives the second one.
-fn initial_scenario(first: &Instant) -> Result<Scenario, InvalidField> {
-    let mut leader = VehicleSpec::new(VehicleClass::Light, 0.0, first.leader_mps, constant_speed());
+fn initial_scenario(first: &DriveInstant) -> Result<Scenario, InvalidField> {
+    let mut leader = VehicleSpec::new(
+        VehicleClass::Light,
+        0.0,
+        first.sample.speed_mps,
+        constant_speed(),
+    );
     leader.length_m = Some(CAR_LENGTH_M);
     let front_m = -CAR_LENGTH_M - first.vehicle.gap_ahead_m;
     let follower = vehicle_spec(&first.vehicle, front_m, Driver::UnderTest);
@@ -335,7 +227,7 @@ fn vehicle_spec(vehicle: &EpisodeVehicle, position_m: f64, driver: Driver) -> Ve
 /// Measures the braking that the controller commands, and that of the driver.
 fn evaluate(
     event: Option<&str>,
-    first: &Instant,
+    first: &DriveInstant,
     (steps, commands_mps2): (&[ReplayStep], &[f64]),
     min_brake_mps2: f64,
 ) -> ReplayedDrive {

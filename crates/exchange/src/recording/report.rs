@@ -3,9 +3,12 @@
 use std::path::Path;
 
 use crumple_core::quoting::TerminalText;
+use crumple_measure::FAR_TIME_GAP_S;
 use serde::Serialize;
 
-use super::{ImportResult, ImportedRecording, MinBrake, Preview, Recording};
+use super::{
+    ImportResult, ImportScope, ImportedRecording, MIN_DRIVE_S, MinBrake, Preview, Recording,
+};
 
 /// Report of a preview.
 #[derive(Debug, Serialize)]
@@ -104,8 +107,24 @@ pub struct RecordingImport {
     pub text: String,
     /// Number of scenarios.
     pub scenarios: usize,
+    /// Number of those without a vehicle behind the one under test, in which no collision from behind can happen.
+    pub without_vehicle_behind: usize,
+    /// Number of drives far behind the leader, see [`FAR_TIME_GAP_S`]; 0 for episodes.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub far_behind_leader: usize,
     /// Hardest braking, as text.
     pub hardest_braking: String,
+    /// Reason why every drive has holes, as text.
+    #[serde(skip)]
+    holes: Option<String>,
+}
+
+#[allow(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 impl ImportReport {
@@ -130,7 +149,17 @@ impl ImportReport {
 
     /// Describes the reason why there is no scenario.
     #[must_use]
-    pub fn describe_absence(&self, min_brake: MinBrake) -> String {
+    pub fn describe_absence(&self, scope: ImportScope, min_brake: MinBrake) -> String {
+        if scope == ImportScope::WholeDrives {
+            let reasons = self.recordings.iter().filter_map(|source| {
+                let holes = source.holes.as_ref()?;
+                Some(format!("; {}: {holes}", source.recording))
+            });
+            return format!(
+                "no vehicle follows its leader for at least {MIN_DRIVE_S} s with known speeds and gaps{}",
+                reasons.collect::<String>()
+            );
+        }
         let hardest: Vec<_> = self
             .recordings
             .iter()
@@ -151,7 +180,10 @@ impl RecordingImport {
             format: source.format.clone(),
             text: source.text.to_string(),
             scenarios: source.scenarios,
+            without_vehicle_behind: source.without_vehicle_behind,
+            far_behind_leader: source.far_behind_leader,
             hardest_braking: source.hardest.to_string(),
+            holes: source.hardest.describe_holes(),
         }
     }
 
@@ -161,8 +193,24 @@ impl RecordingImport {
         } else {
             "scenarios"
         };
+        let without = match self.without_vehicle_behind {
+            0 => String::new(),
+            count if count == self.scenarios => {
+                ", no vehicle behind: collisions from behind cannot happen".to_owned()
+            }
+            count => {
+                format!(", {count} without a vehicle behind: collisions from behind cannot happen")
+            }
+        };
+        let far = match self.far_behind_leader {
+            0 => String::new(),
+            count => format!(
+                ", {count} with a median time gap above {FAR_TIME_GAP_S} s: a vehicle that is not recorded may be \
+                 between"
+            ),
+        };
         format!(
-            "{}: {} {noun} ({})\n",
+            "{}: {} {noun} ({}){without}{far}\n",
             TerminalText(&self.recording),
             self.scenarios,
             self.format

@@ -4,7 +4,7 @@ use std::mem;
 use std::path::Path;
 
 use super::dropped::{CHECK_UNIT, DroppedItem, Omission};
-use super::error::{ColumnProblem, RecordingError};
+use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{ClockSpec, ColumnUnit, TimeSpec, TimeUnit};
 use super::number::parse_iso_s;
 use super::table::{CsvColumn, CsvRow, excerpt};
@@ -19,7 +19,7 @@ const MAX_GAP_M: f64 = 1000.0;
 /// Largest speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
 /// Speeds above are reported, because their unit may be wrong, in m/s.
-const MAX_USUAL_SPEED_MPS: f64 = 50.0;
+pub(super) const MAX_USUAL_SPEED_MPS: f64 = 50.0;
 /// Part of the sentence about rows that are not in the order of time.
 pub(super) const NOT_LATER: &str =
     " rows are not later than the row before and were left out, the first one here";
@@ -277,7 +277,11 @@ impl Series {
                 let unusual = self.unusual.get_or_insert((row.line, 0.0));
                 unusual.1 = unusual.1.max(value.abs());
             }
-            return Ok(Some(value));
+            // At standstill, noise makes speeds negative by less than half a millimetre per second.
+            return Ok(Some(match self.quantity {
+                ColumnQuantity::Speed => value.max(0.0),
+                _ => value,
+            }));
         }
         let first = ImpossibleValues {
             first_line: row.line,
@@ -318,6 +322,30 @@ impl Series {
         }));
     }
 
+    /// Checks that some value is possible, or all are missing. The file has a number of rows.
+    ///
+    /// # Errors
+    /// [`ColumnProblem::OnlyImpossible`] at the first impossible value.
+    pub(super) fn ensure_possible(&self, path: &Path, rows: usize) -> Result<(), RecordingError> {
+        match &self.impossible {
+            Some(impossible) if self.has_no_possible(impossible, rows) => {
+                Err(RecordingError::Line {
+                    path: path.to_owned(),
+                    line: impossible.first_line,
+                    problem: LineProblem::Column {
+                        column: self.column.name.clone(),
+                        problem: ColumnProblem::OnlyImpossible(self.describe(impossible, rows)),
+                    },
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn has_no_possible(&self, impossible: &ImpossibleValues, rows: usize) -> bool {
+        impossible.count + self.missing.map_or(0, |(_, missing)| missing) == rows
+    }
+
     /// Describes impossible values, in a column with a number of rows.
     fn describe(&self, impossible: &ImpossibleValues, rows: usize) -> String {
         let ImpossibleValues {
@@ -326,8 +354,7 @@ impl Series {
             worst,
             ..
         } = impossible;
-        let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
-        let all = if is_all {
+        let all = if self.has_no_possible(impossible, rows) {
             ", and no possible one: its sign or unit is probably wrong"
         } else {
             ""

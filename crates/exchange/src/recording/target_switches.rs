@@ -10,7 +10,7 @@ const MIN_SWITCH_ERRORS: f64 = 9.0;
 /// Allowance for changes of the speeds between two rows, in m/s².
 const SPEED_CHANGE_MPS2: f64 = 2.0;
 
-/// Samples of a follower and its leader.
+/// Samples of a follower, its leader and, if recorded, the vehicle behind it.
 #[derive(Clone, Default)]
 pub(super) struct PairSamples {
     pub(super) time_s: Vec<f64>,
@@ -18,6 +18,9 @@ pub(super) struct PairSamples {
     pub(super) gaps_m: Vec<Option<f64>>,
     pub(super) followers_mps: Vec<Option<f64>>,
     pub(super) leaders_mps: Vec<Option<f64>>,
+    /// Gaps to the vehicle behind and its speeds; empty without such columns.
+    pub(super) gaps_behind_m: Vec<Option<f64>>,
+    pub(super) behind_mps: Vec<Option<f64>>,
 }
 
 /// A sample with known gap and speeds.
@@ -86,6 +89,10 @@ impl PairSamples {
             gaps_m: self.gaps_m.split_off(at),
             followers_mps: self.followers_mps.split_off(at),
             leaders_mps: self.leaders_mps.split_off(at),
+            gaps_behind_m: self
+                .gaps_behind_m
+                .split_off(at.min(self.gaps_behind_m.len())),
+            behind_mps: self.behind_mps.split_off(at.min(self.behind_mps.len())),
         }
     }
 

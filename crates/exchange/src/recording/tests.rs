@@ -415,8 +415,11 @@ fn names_of_imported_scenarios_are_distinct_and_errors_end_the_import() {
         dir.path().join("Long setting_16.csv"),
         other.join("long-setting 16.csv"),
     ];
-    for path in &paths {
-        std::fs::write(path, braking_platoon(3)).expect("temporary file");
+    for (path, text) in paths
+        .iter()
+        .zip([braking_platoon(3), braking_platoon(3) + "\n"])
+    {
+        std::fs::write(path, text).expect("temporary file");
     }
     let mut scenarios = Vec::new();
     let mut take = |scenario| {

@@ -72,7 +72,7 @@ fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
     let recording = read_with(&text, &TRACKS.replace("centre", "front"));
     let episodes = find_episodes(&recording, MinBrake::default(), LeaderSelection::First).episodes;
     let scenario = episodes[0]
-        .scenario("a".to_owned(), "a.csv")
+        .scenario("a".to_owned(), "a.csv", &FollowerDriver::Baseline)
         .expect("valid");
     let built: Vec<_> = scenario
         .vehicles()

@@ -231,7 +231,7 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
                     a href={ "./?campaign=" (shown.index) "&counterexample=" (index) } { (TerminalText(&failure.kind)) }
                 }
                 td.number { (format_number(failure.impact_speed_mps, 1)) }
-                td.number { (format_number(failure.contact_time_s, 2)) }
+                td.number { (format_number(failure.collision_time_s, 2)) }
                 td { (avoidability_label(failure.avoidability.class())) }
                 td { (failure.found_by) " after " (failure.found_at) }
                 td { (TerminalText(&list_changes(&failure.changed))) }
@@ -267,8 +267,8 @@ fn failures_table(shown: &CampaignView<'_>, filter: &EvaluationFilter<'_>) -> Ma
                 (method.name()) " " (evaluated.number)
             } }
             td { (TerminalText(&shown.reader.describe_failure(evaluated).unwrap_or_default())) }
-            td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.impact_speed_mps), 1)) }
-            td.number { (format_number(evaluated.verdict.contact.map(|contact| contact.time_s), 2)) }
+            td.number { (format_number(evaluated.verdict.collision.map(|collision| collision.impact_speed_mps), 1)) }
+            td.number { (format_number(evaluated.verdict.collision.map(|collision| collision.time_s), 2)) }
             td.number { (format_number(Some(evaluated.verdict.robustness), 2)) }
             td.number { (format_number(Some(evaluated.ln_likelihood), 2)) }
         } } }

@@ -7,12 +7,17 @@ use super::fmi3::Fmi3;
 use super::unpacked_folder::UnpackedFolder;
 use crate::{Causality, FmiVersion, Fmu, ModelDescription, VariableType};
 
+/// Value of the warning's variable above which the FMU warns.
+const WARNING_ABOVE: f64 = 0.5;
+
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct VariableMap {
     /// Variable of each observed quantity, in order.
     pub(super) inputs: Vec<String>,
     /// Variable of the commanded acceleration.
     pub(super) output: String,
+    /// Variable that is above 0.5 while the FMU warns of a collision.
+    pub(super) warning: Option<String>,
     pub(super) parameters: Vec<(String, f64)>,
     /// Time between decisions, in seconds; none for the scenario's step.
     pub(super) interval_s: Option<f64>,
@@ -22,6 +27,14 @@ pub(super) struct VariableMap {
 pub(super) struct VariableRef {
     pub(super) value_reference: u32,
     pub(super) kind: VariableType,
+}
+
+/// Outputs of an FMU after a step.
+pub(super) struct FmuOutputs {
+    /// Commanded acceleration, in the unit of its variable.
+    pub(super) answer: f64,
+    /// True while the FMU warns of a collision; `None` without a variable for it.
+    pub(super) is_warning: Option<bool>,
 }
 
 /// Checks the status of a call; both editions use the same numbers.
@@ -69,6 +82,7 @@ pub(super) struct Instance {
     functions: Box<dyn FmiFunctions>,
     inputs: Vec<VariableRef>,
     output: VariableRef,
+    warning: Option<VariableRef>,
     parameters: Vec<(VariableRef, f64)>,
     is_once_per_process: bool,
     state: InstanceState,
@@ -87,6 +101,10 @@ impl Instance {
             .map(|name| find_variable(description, name, Causality::Input))
             .collect::<Result<_, _>>()?;
         let output = find_variable(description, &wiring.output, Causality::Output)?;
+        let warning = match &wiring.warning {
+            Some(name) => Some(find_variable(description, name, Causality::Output)?),
+            None => None,
+        };
         let parameters = wiring
             .parameters
             .iter()
@@ -107,6 +125,7 @@ impl Instance {
             functions,
             inputs,
             output,
+            warning,
             parameters,
             is_once_per_process: fmu.description().is_once_per_process,
             state: InstanceState::None,
@@ -145,7 +164,7 @@ impl Instance {
         time_s: f64,
         interval_s: f64,
         inputs: &[f64],
-    ) -> Result<f64, String> {
+    ) -> Result<FmuOutputs, String> {
         // The first observation initializes the FMU.
         let is_first = match std::mem::replace(&mut self.state, InstanceState::Failed) {
             InstanceState::Instantiated => true,
@@ -170,9 +189,11 @@ impl Instance {
         }
         self.functions.step(time_s, interval_s)?;
         let answer = self.functions.get(self.output)?;
+        let warning = self.warning.map(|variable| self.functions.get(variable));
+        let is_warning = warning.transpose()?.map(|value| value > WARNING_ABOVE);
         self.state = InstanceState::Initialized;
         if answer.is_finite() {
-            Ok(answer)
+            Ok(FmuOutputs { answer, is_warning })
         } else {
             Err(format!("its output is {answer}, at {time_s} s"))
         }

@@ -51,6 +51,9 @@ enum HostCommand {
         /// Variable of the commanded acceleration
         #[arg(long, value_name = "VARIABLE")]
         output: String,
+        /// Variable that is above 0.5 while the FMU warns of a collision
+        #[arg(long, value_name = "VARIABLE")]
+        warning: Option<String>,
         /// Initial value of a parameter; booleans are 0 or 1
         #[arg(long = "parameter", value_name = "VARIABLE=VALUE", value_parser = parse_parameter)]
         parameters: Vec<(String, f64)>,
@@ -103,12 +106,14 @@ impl HostCommand {
                 fmu,
                 inputs,
                 output,
+                warning,
                 parameters,
                 interval_s,
             } => {
                 let wiring = VariableMap {
                     inputs,
                     output,
+                    warning,
                     parameters,
                     interval_s,
                 };

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::instance::{Instance, VariableMap};
+use super::instance::{FmuOutputs, Instance, VariableMap};
 
 const MAX_LINE_BYTES: u64 = 1 << 20;
 
@@ -94,9 +94,14 @@ impl FmuHost<'_> {
                 Ok(format!("{{\"id\":{id},\"ready\":true}}\n"))
             }
             HostRequest::Decide { id, time_s, inputs } => {
-                let command_mps2 = self.decide(time_s, &inputs)?;
+                let outputs = self.decide(time_s, &inputs)?;
+                let answer = serde_json::Number::from_f64(outputs.answer);
+                let answer = answer.ok_or("its output is not finite")?;
+                let warning = outputs.is_warning.map_or_else(String::new, |is_warning| {
+                    format!(",\"warning\":{is_warning}")
+                });
                 Ok(format!(
-                    "{{\"id\":{id},\"acceleration_mps2\":{command_mps2}}}\n"
+                    "{{\"id\":{id},\"acceleration_mps2\":{answer}{warning}}}\n"
                 ))
             }
         }
@@ -113,14 +118,18 @@ impl FmuHost<'_> {
         let stated = own_interval_s.map_or_else(String::new, |interval_s| {
             format!(",\"interval_s\":{interval_s}")
         });
+        let warns = match &self.wiring.warning {
+            Some(_) => ",\"warns\":true",
+            None => "",
+        };
         let name = &self.name;
         Some(format!(
-            "{{\"crumple\":1,\"name\":{name},\"deterministic\":true,\"inputs\":{count}{stated}}}\n"
+            "{{\"crumple\":1,\"name\":{name},\"deterministic\":true,\"inputs\":{count}{stated}{warns}}}\n"
         ))
     }
 
-    /// Returns the commanded acceleration for values of the inputs.
-    fn decide(&mut self, time_s: f64, inputs: &[f64]) -> Result<serde_json::Number, String> {
+    /// Returns the outputs for values of the inputs.
+    fn decide(&mut self, time_s: f64, inputs: &[f64]) -> Result<FmuOutputs, String> {
         let interval_s = self
             .interval_s
             .ok_or("received a request for a decision before the request `hello`")?;
@@ -131,9 +140,7 @@ impl FmuHost<'_> {
                 inputs.len()
             ));
         }
-        let command_mps2 = self.instance.decide(time_s, interval_s, inputs)?;
-        let command_mps2 = serde_json::Number::from_f64(command_mps2);
-        Ok(command_mps2.ok_or("its output is not finite")?)
+        self.instance.decide(time_s, interval_s, inputs)
     }
 }
 

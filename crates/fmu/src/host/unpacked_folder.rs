@@ -12,6 +12,7 @@ use tempfile::{Builder, TempDir};
 const PREFIX: &str = "crumple-fmu-run-";
 
 /// Maximum number of attempts to create and lock a folder; another process may remove it before it is locked.
+#[cfg(unix)]
 const MAX_ATTEMPTS: usize = 100;
 
 /// Locked temporary folder that is removed when dropped.

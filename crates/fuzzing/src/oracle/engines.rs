@@ -136,16 +136,16 @@ fn result_numbers(result: &SimulationResult) -> Vec<ResultNumber> {
 }
 
 fn impact_numbers(index: usize, impact: &Impact) -> [ResultNumber; 9] {
-    let contact = &impact.contact;
+    let collision = &impact.collision;
     [
-        ("vehicle of impact", contact.front_vehicle as f64),
-        ("vehicle of impact", contact.rear_vehicle as f64),
+        ("vehicle of impact", collision.front_vehicle as f64),
+        ("vehicle of impact", collision.rear_vehicle as f64),
         ("vehicle of impact", impact.first_involved as f64),
         ("vehicle of impact", impact.last_involved as f64),
-        ("time of impact", contact.time_s),
-        ("speed of impact", contact.front_speed_mps),
-        ("speed of impact", contact.rear_speed_mps),
-        ("speed of impact", contact.impact_speed_mps),
+        ("time of impact", collision.time_s),
+        ("speed of impact", collision.front_speed_mps),
+        ("speed of impact", collision.rear_speed_mps),
+        ("speed of impact", collision.impact_speed_mps),
         ("speed of impact", impact.common_speed_mps),
     ]
     .map(|(name, value)| ResultNumber { name, index, value })

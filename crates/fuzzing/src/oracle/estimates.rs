@@ -133,7 +133,7 @@ impl EstimateBounds {
             .result
             .impacts
             .iter()
-            .map(|impact| impact.contact.impact_speed_mps)
+            .map(|impact| impact.collision.impact_speed_mps)
             .sum();
         // Worst case: the two vehicles deviate in opposite directions.
         let lag_mps = 3.0 * (2.0 * hardest_mps2 / BANDWIDTH_RAD_PER_S + jumps_mps);

@@ -4,10 +4,10 @@ use std::ops::RangeInclusive;
 
 use super::{Finding, OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
-use crumple_sim::engine::{AfterContact, Impact, Trace};
+use crumple_sim::engine::{AfterCollision, Impact, Trace};
 
 /// Largest gap between two vehicles that stick together, in metres.
-const CONTACT_TOLERANCE_M: f64 = 1e-8;
+const COLLISION_TOLERANCE_M: f64 = 1e-8;
 
 /// Checks that every impact conserves momentum and adds no energy, and that collided bodies stay together and collide
 /// once.
@@ -20,18 +20,18 @@ pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
     for impact in impacts {
         check_impact(trace, impact)?;
     }
-    if question.run.options().after_contact == AfterContact::Stop {
+    if question.run.options().after_collision == AfterCollision::Stop {
         ensure(impacts.len() <= 1, Invariant::Sticking, || {
             format!("{} impacts in a run that ends at one", impacts.len())
         })?;
         return Ok(OracleOutcome::Holds);
     }
     for (index, impact) in impacts.iter().enumerate() {
-        let rear = impact.contact.rear_vehicle;
+        let rear = impact.collision.rear_vehicle;
         let again = impacts
             .iter()
             .skip(index + 1)
-            .any(|later| later.contact.rear_vehicle == rear);
+            .any(|later| later.collision.rear_vehicle == rear);
         ensure(!again, Invariant::Sticking, || {
             format!("vehicle {rear} hits the same vehicle twice")
         })?;
@@ -42,7 +42,7 @@ pub fn impacts_are_inelastic(question: &OracleContext<'_>) -> OracleResult {
 
 /// Checks that the two vehicles of an impact have no gap and equal speeds afterwards.
 fn check_stays_together(trace: &Trace, impact: &Impact) -> Result<(), Finding> {
-    let rear = impact.contact.rear_vehicle;
+    let rear = impact.collision.rear_vehicle;
     let pairs = trace.pairs(rear);
     let Some(pair) = pairs.last() else {
         return Ok(());
@@ -53,8 +53,8 @@ fn check_stays_together(trace: &Trace, impact: &Impact) -> Result<(), Finding> {
         Some((trace.time_s.get(sample)?, gap_m, front_mps, rear_mps))
     });
     for (t, gap_m, front_mps, rear_mps) in samples {
-        let are_together = gap_m.abs() < CONTACT_TOLERANCE_M && front_mps == rear_mps;
-        let is_after = *t > impact.contact.time_s + 1e-9;
+        let are_together = gap_m.abs() < COLLISION_TOLERANCE_M && front_mps == rear_mps;
+        let is_after = *t > impact.collision.time_s + 1e-9;
         ensure(!is_after || are_together, Invariant::Sticking, || {
             format!(
                 "vehicle {rear} at {t} s: {gap_m} m from the vehicle that it hit, {rear_mps} against {front_mps} m/s"
@@ -74,10 +74,14 @@ fn involved_mass_kg(trace: &Trace, impact: &Impact, vehicles: RangeInclusive<usi
 }
 
 fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), Finding> {
-    let contact = &impact.contact;
-    let front_kg = involved_mass_kg(trace, impact, impact.first_involved..=contact.front_vehicle);
-    let rear_kg = involved_mass_kg(trace, impact, contact.rear_vehicle..=impact.last_involved);
-    let [front_mps, rear_mps] = [contact.front_speed_mps, contact.rear_speed_mps];
+    let collision = &impact.collision;
+    let front_kg = involved_mass_kg(
+        trace,
+        impact,
+        impact.first_involved..=collision.front_vehicle,
+    );
+    let rear_kg = involved_mass_kg(trace, impact, collision.rear_vehicle..=impact.last_involved);
+    let [front_mps, rear_mps] = [collision.front_speed_mps, collision.rear_speed_mps];
     let common_mps = impact.common_speed_mps;
     let at = |what: &str| {
         format!(
@@ -92,17 +96,17 @@ fn check_impact(trace: &Trace, impact: &Impact) -> Result<(), Finding> {
     let energy_after = (front_kg + rear_kg) * common_mps * common_mps;
     let adds_no_energy = energy_after <= energy * (1.0 + 1e-12);
     ensure(adds_no_energy, Invariant::Energy, || at("energy increases"))?;
-    let apart_mps = (contact.impact_speed_mps - (rear_mps - front_mps)).abs();
+    let apart_mps = (collision.impact_speed_mps - (rear_mps - front_mps)).abs();
     ensure(apart_mps <= 1e-9, Invariant::Momentum, || {
         at("the impact speed differs")
     })?;
     ensure(
-        contact.impact_speed_mps >= -1e-9,
+        collision.impact_speed_mps >= -1e-9,
         Invariant::Continuity,
         || at("the vehicle hits a faster leader"),
     )?;
-    let gained = impact.delta_v_mps(contact.front_vehicle) - (common_mps - front_mps);
-    let lost = impact.delta_v_mps(contact.rear_vehicle) - (rear_mps - common_mps);
+    let gained = impact.delta_v_mps(collision.front_vehicle) - (common_mps - front_mps);
+    let lost = impact.delta_v_mps(collision.rear_vehicle) - (rear_mps - common_mps);
     ensure(
         gained.abs() < 1e-12 && lost.abs() < 1e-12,
         Invariant::Momentum,

@@ -4,7 +4,7 @@ use super::engines::result_bits;
 use super::{Finding, OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_measure::LeadMeasures;
-use crumple_sim::engine::{AfterContact, RecordingLevel, Run, SimulationResult, Trace, Track};
+use crumple_sim::engine::{RecordingLevel, Run, SimulationResult, Trace, Track};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Driver, InvalidField, LaneChange, Scenario, ScenarioSpec};
 
@@ -56,7 +56,7 @@ fn check_times_in_lane(question: &OracleContext<'_>) -> Result<(), Finding> {
 fn check_impacts_in_lane(question: &OracleContext<'_>) -> Result<(), Finding> {
     let trace = question.trace()?;
     for impact in &question.result.impacts {
-        let time_s = impact.contact.time_s;
+        let time_s = impact.collision.time_s;
         for vehicle in impact.first_involved..=impact.last_involved {
             let is_in_lane = trace.vehicles.get(vehicle).is_some_and(|track| {
                 let [from_s, to_s] = track.in_lane_s;
@@ -76,8 +76,8 @@ fn check_gaps_to_leaders(question: &OracleContext<'_>) -> Result<(), Finding> {
     let trace = question.trace()?;
     let result = &question.result;
     // A trace does not show the effect of an impact on speeds between two samples.
-    let continues = question.run.options().after_contact == AfterContact::Continue
-        && !result.impacts.is_empty();
+    let continues =
+        question.run.options().after_collision.continues() && !result.impacts.is_empty();
     for (index, summary) in result.vehicles.iter().enumerate().filter(|_| !continues) {
         let measured_m = LeadMeasures::from_trace(trace, &result.impacts, index)
             .and_then(|ahead| ahead.min_gap_m);
@@ -164,7 +164,7 @@ pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) 
         .into_iter()
         .filter_map(|result| result.impacts.first());
     let until_s = first_impacts
-        .map(|impact| impact.contact.time_s)
+        .map(|impact| impact.collision.time_s)
         .fold(f64::INFINITY, f64::min);
     let traces = question.result.trace.as_ref();
     let Some((with, without)) = traces.zip(without_change.trace.as_ref()) else {

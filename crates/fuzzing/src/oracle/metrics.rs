@@ -2,15 +2,15 @@
 
 use super::{Finding, OracleContext, OracleOutcome, OracleResult, ROUNDING_M, ensure, is_grazing};
 use crate::Invariant;
-use crumple_measure::ContactRole;
-use crumple_sim::engine::{AfterContact, Outcome, VehiclePair};
+use crumple_measure::CollisionRole;
+use crumple_sim::engine::{AfterCollision, Outcome, VehiclePair};
 use crumple_sim::scenario::Driver;
 
 /// Checks that trace, outcome and role in the collision agree, and that no vehicle exceeds the limits of road and
 /// vehicle.
 ///
 /// # Errors
-/// [`Invariant::MetricsAgree`], [`Invariant::Limits`] or [`Invariant::ContactRole`].
+/// [`Invariant::MetricsAgree`], [`Invariant::Limits`] or [`Invariant::CollisionRole`].
 pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
     check_outcome(question)?;
     for index in 0..question.result.vehicles.len() {
@@ -18,7 +18,7 @@ pub fn metrics_agree(question: &OracleContext<'_>) -> OracleResult {
         check_gaps(question, index)?;
     }
     check_limits(question)?;
-    check_contact_role(question)?;
+    check_collision_role(question)?;
     Ok(OracleOutcome::Holds)
 }
 
@@ -28,27 +28,27 @@ fn ensure_consistent(holds: bool, finding: impl FnOnce() -> String) -> Result<()
 
 /// True if the run ends at its first collision.
 fn stops_at_collision(question: &OracleContext<'_>) -> bool {
-    question.run.options().after_contact == AfterContact::Stop
+    question.run.options().after_collision == AfterCollision::Stop
 }
 
 /// Checks that the outcome is the first impact, and that the trace ends with it or with the scenario.
 fn check_outcome(question: &OracleContext<'_>) -> Result<(), Finding> {
     let result = &question.result;
     let scenario = &question.test_case.scenario;
-    let first = result.impacts.first().map(|impact| impact.contact);
-    let is_first =
-        result.outcome.contact().copied() == first || result.outcome.failed_controller().is_some();
+    let first = result.impacts.first().map(|impact| impact.collision);
+    let is_first = result.outcome.collision().copied() == first
+        || result.outcome.failed_controller().is_some();
     ensure_consistent(is_first, || {
         "the outcome is not the first impact".to_owned()
     })?;
     let in_order = result.impacts.windows(2).all(|pair| match pair {
-        [before, after] => before.contact.time_s <= after.contact.time_s,
+        [before, after] => before.collision.time_s <= after.collision.time_s,
         _ => true,
     });
     ensure_consistent(in_order, || "impacts are not in order of time".to_owned())?;
     let end_s = question.trace()?.time_s.last().copied().unwrap_or(f64::NAN);
     let has_right_end = match &result.outcome {
-        Outcome::Collision(contact) if stops_at_collision(question) => end_s == contact.time_s,
+        Outcome::Collision(collision) if stops_at_collision(question) => end_s == collision.time_s,
         Outcome::ControllerFailed(failed) => {
             end_s == failed.time_s && can_controller_fail(question)
         }
@@ -115,7 +115,7 @@ fn check_gaps(question: &OracleContext<'_>, index: usize) -> Result<(), Finding>
         format!("vehicle {index}: the reported smallest gap is {min_gap_m} m")
     })?;
     let mut impacts = result.impacts.iter();
-    let collides = impacts.any(|impact| impact.contact.rear_vehicle == index);
+    let collides = impacts.any(|impact| impact.collision.rear_vehicle == index);
     // A run ends at its first collision, the foremost of simultaneous ones; the others are not recorded.
     let has_ended_run = stops_at_collision(question) && !result.impacts.is_empty();
     if has_ended_run && !collides && last_m.abs() < ROUNDING_M {
@@ -144,7 +144,7 @@ fn check_limits(question: &OracleContext<'_>) -> Result<(), Finding> {
     let scenario = &question.test_case.scenario;
     for (index, (vehicle, track)) in scenario.vehicles().iter().zip(&trace.vehicles).enumerate() {
         let mut impacts = question.result.impacts.iter();
-        let is_pushed = question.run.options().after_contact == AfterContact::Continue
+        let is_pushed = question.run.options().after_collision.continues()
             && impacts.any(|impact| impact.involves(index));
         if vehicle.acceleration_noise_mps2 > 0.0 || is_pushed {
             continue;
@@ -163,29 +163,34 @@ fn check_limits(question: &OracleContext<'_>) -> Result<(), Finding> {
 }
 
 /// Checks the role in the collision against the pair whose gap is closed at the end of the trace.
-fn check_contact_role(question: &OracleContext<'_>) -> Result<(), Finding> {
+fn check_collision_role(question: &OracleContext<'_>) -> Result<(), Finding> {
     let trace = question.trace()?;
     let scenario = &question.test_case.scenario;
-    let Some(contact) = question.result.outcome.contact() else {
+    let Some(collision) = question.result.outcome.collision() else {
         return Ok(());
     };
-    let role = question.system.contact_role(contact, scenario);
-    let ends_in_contact = (1..trace.vehicles.len()).any(|rear| {
+    let role = question.system.collision_role(collision, scenario);
+    let ends_in_collision = (1..trace.vehicles.len()).any(|rear| {
         let pairs = trace.pairs(rear);
         let last = pairs.last().and_then(|pair| pair.gaps_m().last());
         last.is_some_and(|(_, gap_m)| gap_m < ROUNDING_M)
     });
     let [is_rear_tested, is_front_tested] =
-        [contact.rear_vehicle, contact.front_vehicle].map(|index| {
+        [collision.rear_vehicle, collision.front_vehicle].map(|index| {
             let vehicle = scenario.vehicles().get(index);
             vehicle.is_some_and(|vehicle| vehicle.driver == Driver::UnderTest)
         });
+    let is_rear_recorded = scenario
+        .vehicles()
+        .get(collision.rear_vehicle)
+        .is_some_and(|vehicle| vehicle.driver.name() == "recorded");
     let agrees = match role {
-        ContactRole::Hits => is_rear_tested && ends_in_contact,
-        ContactRole::HitFromBehind => !is_rear_tested && is_front_tested,
-        ContactRole::Bystander => !is_rear_tested && !is_front_tested,
+        CollisionRole::Hits => is_rear_tested && ends_in_collision,
+        CollisionRole::HitFromBehind => !is_rear_tested && is_front_tested && !is_rear_recorded,
+        CollisionRole::HitByRecording => is_rear_recorded && is_front_tested,
+        CollisionRole::Bystander => !is_rear_tested && !is_front_tested,
     };
-    ensure(agrees, Invariant::ContactRole, || {
-        format!("the reported role in the collision is {role:?}: {contact:?}")
+    ensure(agrees, Invariant::CollisionRole, || {
+        format!("the reported role in the collision is {role:?}: {collision:?}")
     })
 }

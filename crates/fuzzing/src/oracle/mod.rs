@@ -142,7 +142,7 @@ pub fn is_grazing(result: &SimulationResult) -> bool {
     let is_soft = result
         .impacts
         .iter()
-        .any(|impact| impact.contact.impact_speed_mps < 1e-6);
+        .any(|impact| impact.collision.impact_speed_mps < 1e-6);
     is_soft
         || result
             .vehicles

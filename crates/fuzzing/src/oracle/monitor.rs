@@ -24,7 +24,7 @@ const NO_VEHICLE_GAP_M: f64 = 1e6;
 /// [`Invariant::Monitor`].
 pub fn monitor_agrees(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
-    check_no_contact_formula(question, trace)?;
+    check_no_collision_formula(question, trace)?;
     let every = trace.len().div_ceil(MAX_SAMPLES);
     let signals = trace_signals(trace, question.run.dt_s(), every).map_err(monitor_finding)?;
     let names: Vec<&str> = signals.names().collect();
@@ -45,9 +45,9 @@ fn monitor_finding(error: impl Display) -> Finding {
 }
 
 /// Checks that the robustness of "always a gap" agrees with collisions and the smallest gap of the run.
-fn check_no_contact_formula(question: &OracleContext<'_>, trace: &Trace) -> Result<(), Finding> {
+fn check_no_collision_formula(question: &OracleContext<'_>, trace: &Trace) -> Result<(), Finding> {
     let signals = trace_signals(trace, question.run.dt_s(), 1).map_err(monitor_finding)?;
-    let apart = no_contact_formula(trace.vehicles.len()).map_err(monitor_finding)?;
+    let apart = no_collision_formula(trace.vehicles.len()).map_err(monitor_finding)?;
     let robustness = first_robustness(question, &apart, &signals)?;
     let collided = !question.result.impacts.is_empty();
     let sign = if collided {
@@ -121,7 +121,7 @@ fn first_robustness(
     })
 }
 
-fn no_contact_formula(vehicles: usize) -> Result<Formula, FormulaError> {
+fn no_collision_formula(vehicles: usize) -> Result<Formula, FormulaError> {
     (2..vehicles).try_fold(always_a_gap(1)?, |all, rear| {
         Ok(Formula::And(Box::new(all), Box::new(always_a_gap(rear)?)))
     })

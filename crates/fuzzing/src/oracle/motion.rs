@@ -6,7 +6,7 @@ use crumple_sim::engine::{SimulationResult, Track};
 
 /// State of a vehicle at a sample of a trace.
 #[derive(Clone, Copy)]
-struct MotionSample {
+struct KinematicSample {
     time_s: f64,
     position_m: f64,
     speed_mps: f64,
@@ -18,8 +18,8 @@ struct MotionStep {
     vehicle: usize,
     /// Number of the first sample, from 0.
     sample: usize,
-    now: MotionSample,
-    next: MotionSample,
+    now: KinematicSample,
+    next: KinematicSample,
 }
 
 /// Checks that no vehicle reverses, that positions follow from speeds, and that braking never adds energy.
@@ -29,7 +29,7 @@ struct MotionStep {
 pub fn motion_is_physical(question: &OracleContext<'_>) -> OracleResult {
     let trace = question.trace()?;
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
-        let samples = motion_samples(&trace.time_s, track);
+        let samples = kinematic_samples(&trace.time_s, track);
         for (sample, pair) in samples.windows(2).enumerate() {
             let &[now, next] = pair else { continue };
             let step = MotionStep {
@@ -47,13 +47,13 @@ pub fn motion_is_physical(question: &OracleContext<'_>) -> OracleResult {
     Ok(OracleOutcome::Holds)
 }
 
-fn motion_samples(times_s: &[f64], track: &Track) -> Vec<MotionSample> {
+fn kinematic_samples(times_s: &[f64], track: &Track) -> Vec<KinematicSample> {
     let positions = times_s.iter().zip(&track.position_m);
     let speeds = track.speed_mps.iter().zip(&track.acceleration_mps2);
     positions
         .zip(speeds)
         .map(
-            |((&time_s, &position_m), (&speed_mps, &acceleration_mps2))| MotionSample {
+            |((&time_s, &position_m), (&speed_mps, &acceleration_mps2))| KinematicSample {
                 time_s,
                 position_m,
                 speed_mps,
@@ -120,6 +120,6 @@ impl MotionStep {
 
 fn is_hit_between(result: &SimulationResult, vehicle: usize, from_s: f64, to_s: f64) -> bool {
     result.impacts.iter().any(|impact| {
-        impact.involves(vehicle) && (from_s - 1e-9..=to_s + 1e-9).contains(&impact.contact.time_s)
+        impact.involves(vehicle) && (from_s - 1e-9..=to_s + 1e-9).contains(&impact.collision.time_s)
     })
 }

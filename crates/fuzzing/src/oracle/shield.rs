@@ -3,7 +3,7 @@
 use super::{OracleContext, OracleOutcome, OracleResult, ensure};
 use crate::Invariant;
 use crumple_sim::control::{BuiltIn, FullThrottle};
-use crumple_sim::engine::{AfterContact, Outcome, RecordingLevel, Run, RunError, RunOptions};
+use crumple_sim::engine::{AfterCollision, Outcome, RecordingLevel, Run, RunError, RunOptions};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Driver;
 
@@ -20,7 +20,7 @@ pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleR
     };
     let options = options
         .with_estimator(EstimatorKind::Truth)
-        .with_after_contact(AfterContact::Stop);
+        .with_after_collision(AfterCollision::Stop);
     let run = match Run::new(scenario, options) {
         Ok(run) => run,
         // A shield refuses vehicles that it cannot protect.
@@ -28,10 +28,10 @@ pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleR
         Err(error) => return Err((Invariant::Runnable, error.to_string())),
     };
     let result = question.system.simulate(&run, RecordingLevel::Summary);
-    let Outcome::Collision(contact) = result.outcome else {
+    let Outcome::Collision(collision) = result.outcome else {
         return Ok(OracleOutcome::Holds);
     };
-    let striker = contact.rear_vehicle;
+    let striker = collision.rear_vehicle;
     if scenario
         .vehicles()
         .get(striker)
@@ -47,7 +47,7 @@ pub fn shield_prevents_front_collisions(question: &OracleContext<'_>) -> OracleR
         let name = FullThrottle::NAME;
         format!(
             "shield:{name} hits the vehicle ahead of {striker} at {} s, out of the kernel",
-            contact.time_s
+            collision.time_s
         )
     })?;
     Ok(OracleOutcome::NotApplicable)

@@ -64,7 +64,7 @@ fn check_held_accelerations(
     let impacts_s: Vec<f64> = result
         .impacts
         .iter()
-        .map(|impact| impact.contact.time_s)
+        .map(|impact| impact.collision.time_s)
         .collect();
     for (vehicle, track) in trace.vehicles.iter().enumerate() {
         for (step, (accelerations, times)) in track
@@ -101,12 +101,12 @@ fn max_distance_m(coarse: &SimulationResult, fine: &SimulationResult, refinement
         .iter()
         .zip(&fine.impacts)
         .map(|(coarse, fine)| {
-            let apart_s = (coarse.contact.time_s - fine.contact.time_s).abs();
+            let apart_s = (coarse.collision.time_s - fine.collision.time_s).abs();
             // The impact time is a root of the gap: at low speed, a small error in distance is a large error in time.
             if apart_s < 1e-9 {
                 0.0
             } else {
-                10.0 * apart_s * coarse.contact.impact_speed_mps.abs()
+                10.0 * apart_s * coarse.collision.impact_speed_mps.abs()
             }
         });
     let impacts_m = impacts.fold(0.0, f64::max);
@@ -134,7 +134,7 @@ fn colliding_vehicles(result: &SimulationResult) -> Vec<[usize; 3]> {
         .iter()
         .map(|impact| {
             [
-                impact.contact.rear_vehicle,
+                impact.collision.rear_vehicle,
                 impact.first_involved,
                 impact.last_involved,
             ]
@@ -226,18 +226,18 @@ pub fn check_same_impacts(
     }
     for (before, after) in before.impacts.iter().zip(&after.impacts) {
         let vehicles = [
-            before.contact.front_vehicle,
+            before.collision.front_vehicle,
             before.first_involved,
             before.last_involved,
         ];
         let same = vehicles.map(|vehicle| vehicle + shift)
             == [
-                after.contact.front_vehicle,
+                after.collision.front_vehicle,
                 after.first_involved,
                 after.last_involved,
             ];
-        let apart_s = (before.contact.time_s + shift_s - after.contact.time_s).abs();
-        let limit_s = (1e-8 / before.contact.impact_speed_mps).clamp(1e-9, 1e-3);
+        let apart_s = (before.collision.time_s + shift_s - after.collision.time_s).abs();
+        let limit_s = (1e-8 / before.collision.impact_speed_mps).clamp(1e-9, 1e-3);
         if !same || apart_s.is_nan() || apart_s > limit_s {
             return Err(format!("{before:?} became {after:?}, {apart_s} s apart"));
         }

@@ -52,7 +52,8 @@ pub enum RejectionReason {
         /// Name of the space.
         space: String,
         /// Scenarios in which exactly one of the two policies collides.
-        contacts: DiscordantPairs,
+        #[serde(alias = "contacts")]
+        collisions: DiscordantPairs,
     },
     /// The candidate is useful significantly less often in a regression space in which `idm` always is.
     LessUseful {
@@ -183,13 +184,13 @@ fn objections_in_space(
     before: &RegressionSpaceResult,
     after: &RegressionSpaceResult,
 ) -> impl Iterator<Item = RejectionReason> {
-    let contacts = discordant_pairs(&before.contacts, &after.contacts);
+    let collisions = discordant_pairs(&before.collisions, &after.collisions);
     let more_collisions =
-        contacts
+        collisions
             .is_worse(SIGNIFICANCE)
             .then(|| RejectionReason::MoreCollisions {
                 space: after.space.clone(),
-                contacts,
+                collisions,
             });
     let less_useful = before
         .not_useful
@@ -224,22 +225,27 @@ fn objections_in_traffic(
 }
 
 /// Names of the values of [`traffic_measures`].
-pub(super) const TRAFFIC_MEASURES: [&str; 6] = [
+pub(super) const TRAFFIC_MEASURES: [&str; 8] = [
     "collisions",
     "hard unnecessary braking",
     "left behind",
+    "faults in everyday",
     "rms acceleration, times idm",
     "rms jerk, times idm",
+    "rms jerk in everyday, times idm",
     "mean time gap, s",
 ];
 
-pub(super) fn traffic_measures(useful: &TrafficUsefulness) -> [f64; 6] {
+pub(super) fn traffic_measures(useful: &TrafficUsefulness) -> [f64; 8] {
+    let everyday = useful.everyday.unwrap_or_default();
     [
-        useful.contacts as f64,
+        useful.collisions as f64,
         useful.hard_braking as f64,
         useful.fell_behind as f64,
+        everyday.faults as f64,
         useful.acceleration_times_idm,
         useful.jerk_times_idm,
+        everyday.jerk_times_idm,
         useful.mean_time_gap_s,
     ]
 }
@@ -250,17 +256,19 @@ pub(super) fn to_thousandths(value: f64) -> f64 {
 }
 
 /// Ranges of these measures in which no value is worse than another: no fault, and the comfort of `idm`.
-const GOOD_RANGES: [[f64; 2]; 6] = [
+const GOOD_RANGES: [[f64; 2]; 8] = [
     [0.0, 0.0],
     [0.0, 0.0],
     [0.0, 0.0],
+    [0.0, 0.0],
+    [0.0, 1.0],
     [0.0, 1.0],
     [0.0, 1.0],
     TIME_GAP_RANGE_S,
 ];
 
 /// Faults among these measures; the others describe comfort.
-const FAULT_MEASURES: usize = 3;
+const FAULT_MEASURES: usize = 4;
 
 /// Distance of a measure of comfort outside its range that counts as unchanged, relative to the end of the range.
 const COMFORT_TOLERANCE: f64 = 0.01;
@@ -346,12 +354,12 @@ impl fmt::Display for RejectionReason {
                 out,
                 "{after} collisions in the validation set instead of {before}"
             ),
-            Self::MoreCollisions { space, contacts } => write!(
+            Self::MoreCollisions { space, collisions } => write!(
                 out,
                 "{} new collisions and {} fixed in {space} (p = {})",
-                contacts.only_second_fails,
-                contacts.only_first_fails,
-                format_rounded(contacts.p_value(), 2)
+                collisions.only_second_fails,
+                collisions.only_first_fails,
+                format_rounded(collisions.p_value(), 2)
             ),
             Self::LessUseful { space, drives } => write!(
                 out,

@@ -12,7 +12,7 @@ use crate::rl::ScenarioSource;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_sim::control::ControllerSource;
 use crumple_sim::engine::{
-    Contact, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
+    Collision, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
@@ -90,7 +90,7 @@ impl Corpus {
         wanted: u64,
         witnesses: &[NamedController],
         estimator: EstimatorKind,
-        mut observe: impl FnMut(&[Option<Contact>]),
+        mut observe: impl FnMut(&[Option<Collision>]),
     ) -> Result<(), RetrainError> {
         // Scenarios beyond the last one wanted would be classified in vain.
         let range = self.draws..self.draws + (wanted - self.avoidable).min(BATCH_SIZE);
@@ -99,12 +99,12 @@ impl Corpus {
             .map(|index| space.draw(self.seed, index))
             .collect::<Result<Vec<_>, _>>()?;
         let classed = classify_scenarios(&scenarios, witnesses, estimator)?;
-        for (index, (class, contacts)) in range.zip(classed) {
+        for (index, (class, collisions)) in range.zip(classed) {
             self.draws += 1;
             match class {
                 AvoidabilityClass::Avoidable => {
                     self.avoidable += 1;
-                    observe(&contacts);
+                    observe(&collisions);
                 }
                 AvoidabilityClass::Unavoidable => self.unavoidable.push(index),
                 AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => {
@@ -164,7 +164,7 @@ impl Corpus {
 }
 
 /// Class of a scenario, and its first collision with each witness.
-type ClassifiedScenario = (AvoidabilityClass, Vec<Option<Contact>>);
+type ClassifiedScenario = (AvoidabilityClass, Vec<Option<Collision>>);
 
 /// Classifies scenarios: avoidable if a witness passed, otherwise by convex programming.
 pub(super) fn classify_scenarios(
@@ -172,33 +172,33 @@ pub(super) fn classify_scenarios(
     witnesses: &[NamedController],
     estimator: EstimatorKind,
 ) -> Result<Vec<ClassifiedScenario>, RetrainError> {
-    let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
+    let mut collisions = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
     for witness in witnesses {
-        let of_witness = first_contacts(scenarios, &witness.source, estimator)?;
-        for (contacts, contact) in contacts.iter_mut().zip(of_witness) {
-            contacts.push(contact);
+        let of_witness = first_collisions(scenarios, &witness.source, estimator)?;
+        for (collisions, collision) in collisions.iter_mut().zip(of_witness) {
+            collisions.push(collision);
         }
     }
     Ok(scenarios
         .par_iter()
-        .zip(contacts)
-        .map(|(scenario, contacts)| {
-            let survived = contacts.iter().any(Option::is_none);
+        .zip(collisions)
+        .map(|(scenario, collisions)| {
+            let survived = collisions.iter().any(Option::is_none);
             let class = if survived {
                 AvoidabilityClass::Avoidable
             } else {
-                Avoidability::classify_contact(scenario).class()
+                Avoidability::classify_collision(scenario).class()
             };
-            (class, contacts)
+            (class, collisions)
         })
         .collect())
 }
 
-pub(super) fn first_contacts(
+pub(super) fn first_collisions(
     scenarios: &[Scenario],
     controller: &Arc<dyn ControllerSource>,
     estimator: EstimatorKind,
-) -> Result<Vec<Option<Contact>>, RunError> {
+) -> Result<Vec<Option<Collision>>, RunError> {
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let runs = scenarios
         .iter()
@@ -207,7 +207,7 @@ pub(super) fn first_contacts(
     Ok(simulate_batch(
         &runs,
         RecordingLevel::Summary,
-        |_, result| result.outcome.contact().copied(),
+        |_, result| result.outcome.collision().copied(),
     ))
 }
 
@@ -217,10 +217,10 @@ pub(super) fn colliding_indices(
     controller: &Arc<dyn ControllerSource>,
     estimator: EstimatorKind,
 ) -> Result<Vec<usize>, RunError> {
-    let contacts = first_contacts(scenarios, controller, estimator)?;
+    let collisions = first_collisions(scenarios, controller, estimator)?;
     Ok((0..scenarios.len())
-        .zip(contacts)
-        .filter(|(_, contact)| contact.is_some())
+        .zip(collisions)
+        .filter(|(_, collision)| collision.is_some())
         .map(|(index, _)| index)
         .collect())
 }

@@ -57,7 +57,7 @@ pub enum RetrainingProgress {
         /// Episodes of the round.
         episodes: u64,
         /// Fewest collisions of any checkpoint in the selection set.
-        fewest_contacts: Option<u64>,
+        fewest_collisions: Option<u64>,
     },
     /// A candidate is evaluated.
     Evaluating {

@@ -29,7 +29,8 @@ pub struct RegressionSpaceResult {
     #[serde(alias = "draws")]
     pub sample_count: u64,
     /// Indices of the scenarios that ended in a collision.
-    pub contacts: Vec<u64>,
+    #[serde(alias = "contacts")]
+    pub collisions: Vec<u64>,
     /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
     /// an ego vehicle left behind. Only in spaces in which `idm` is always useful: in an emergency such braking may be
     /// necessary.
@@ -119,7 +120,7 @@ impl RegressionSpace {
         } else {
             RecordingLevel::Summary
         };
-        let mut contacts = Vec::new();
+        let mut collisions = Vec::new();
         let mut not_useful = Vec::new();
         for (block, draws) in self.draws.chunks(BATCH_SIZE).enumerate() {
             let runs = draws
@@ -127,7 +128,7 @@ impl RegressionSpace {
                 .map(|scenario| Run::new(scenario, options.clone()))
                 .collect::<Result<Vec<_>, _>>()?;
             let outcomes = simulate_batch(&runs, level, |_, result| {
-                let collided = result.outcome.contact().is_some();
+                let collided = result.outcome.collision().is_some();
                 (
                     collided,
                     collided || measure_usefulness(&result).is_some_and(is_not_useful),
@@ -135,14 +136,14 @@ impl RegressionSpace {
             });
             for (index, (collided, is_useless)) in outcomes.into_iter().enumerate() {
                 let index = (block * BATCH_SIZE + index) as u64;
-                contacts.extend(collided.then_some(index));
+                collisions.extend(collided.then_some(index));
                 not_useful.extend(is_useless.then_some(index));
             }
         }
         Ok(RegressionSpaceResult {
             space: self.name.clone(),
             sample_count: self.draws.len() as u64,
-            contacts,
+            collisions,
             not_useful: self.checks_usefulness.then_some(not_useful),
         })
     }

@@ -44,7 +44,8 @@ pub struct Checkpoint {
     /// Episodes done.
     pub episode: u64,
     /// Collisions in the selection set; none if the policy collides in the paper's scenarios or the screening.
-    pub contacts: Option<u64>,
+    #[serde(alias = "contacts")]
+    pub collisions: Option<u64>,
 }
 
 /// Record of a round.

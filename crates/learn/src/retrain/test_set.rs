@@ -9,7 +9,7 @@ use super::plan::{RetrainingPlan, TEST_SET_SEED};
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use crumple_controllers::find_built_in;
 use crumple_evidence::RateInterval;
-use crumple_sim::engine::{Contact, NamedController};
+use crumple_sim::engine::{Collision, NamedController};
 use crumple_store::run_folder::RunFolder;
 
 pub(super) const CONFIDENCE: f64 = 0.95;
@@ -35,7 +35,8 @@ pub struct ControllerTally {
     /// SHA-256 of the policy file, if it is a policy.
     pub policy_sha256: Option<String>,
     /// Scenarios that ended in a collision.
-    pub contacts: u64,
+    #[serde(alias = "contacts")]
+    pub collisions: u64,
     /// Collisions of the vehicle under test with its leader; in the others the follower hits it.
     pub into_the_leader: u64,
 }
@@ -58,7 +59,7 @@ impl ControllerTally {
     /// Returns the exact interval of the collision rate over `runs` scenarios.
     #[must_use]
     pub fn interval(&self, runs: u64) -> RateInterval {
-        RateInterval::clopper_pearson(self.contacts, runs, CONFIDENCE)
+        RateInterval::clopper_pearson(self.collisions, runs, CONFIDENCE)
     }
 }
 
@@ -110,12 +111,18 @@ impl TestSetResults {
                 wanted,
             })?;
             if corpus.avoidable < wanted {
-                corpus.classify_next(space, wanted, contenders, plan.estimator(), |contacts| {
-                    for (tally, contact) in tallies.iter_mut().zip(contacts) {
-                        tally.add(contact.as_ref());
-                    }
-                    pairs.add(contacts);
-                })?;
+                corpus.classify_next(
+                    space,
+                    wanted,
+                    contenders,
+                    plan.estimator(),
+                    |collisions| {
+                        for (tally, collision) in tallies.iter_mut().zip(collisions) {
+                            tally.add(collision.as_ref());
+                        }
+                        pairs.add(collisions);
+                    },
+                )?;
             } else {
                 corpus.seal(space)?;
             }
@@ -131,22 +138,22 @@ impl ControllerTally {
         Self {
             controller: contender.name.clone(),
             policy_sha256,
-            contacts: 0,
+            collisions: 0,
             into_the_leader: 0,
         }
     }
 
-    fn add(&mut self, contact: Option<&Contact>) {
-        if let Some(contact) = contact {
-            self.contacts += 1;
-            self.into_the_leader += u64::from(contact.front_vehicle == 0);
+    fn add(&mut self, collision: Option<&Collision>) {
+        if let Some(collision) = collision {
+            self.collisions += 1;
+            self.into_the_leader += u64::from(collision.front_vehicle == 0);
         }
     }
 }
 
 impl PairedOutcomes {
-    fn add(&mut self, contacts: &[Option<Contact>]) {
-        let collided = [0, 1].map(|index| contacts.get(index).is_some_and(Option::is_some));
+    fn add(&mut self, collisions: &[Option<Collision>]) {
+        let collided = [0, 1].map(|index| collisions.get(index).is_some_and(Option::is_some));
         *match collided {
             [true, true] => &mut self.both,
             [true, false] => &mut self.first_only,

@@ -149,7 +149,7 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
             } => {
                 self.checkpoints.push(Checkpoint {
                     episode: *episode,
-                    contacts: result.ranking_contacts,
+                    collisions: result.ranking_collisions,
                 });
             }
             TrainingEvent::Episode(record) => {
@@ -157,10 +157,10 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
                     round: self.context.round_number(),
                     episode: record.episode - self.from_episode,
                     episodes: self.context.plan.settings.episodes,
-                    fewest_contacts: self
+                    fewest_collisions: self
                         .checkpoints
                         .iter()
-                        .filter_map(|checkpoint| checkpoint.contacts)
+                        .filter_map(|checkpoint| checkpoint.collisions)
                         .min(),
                 })?
             }

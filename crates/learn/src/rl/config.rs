@@ -80,7 +80,8 @@ pub struct EnvironmentConfig {
     /// Reward of a step without a collision; 15 in the paper.
     pub step_reward: f64,
     /// Reward of a collision, which ends the episode; -3000 in the paper.
-    pub contact_reward: f64,
+    #[serde(alias = "contact_reward")]
+    pub collision_reward: f64,
     /// Reward of a collision in addition, times its harm: the expected number of seriously injured drivers. Default 0.
     #[serde(default, skip_serializing_if = "is_default")]
     pub harm_reward: f64,

@@ -22,7 +22,8 @@ pub enum EpisodeEnding {
     /// The episode continues.
     None,
     /// Termination by a collision.
-    Contact,
+    #[serde(alias = "contact")]
+    Collision,
     /// Termination at permanent standstill of all vehicles; the rest of the reward is credited.
     AtRest,
     /// Time limit of the scenario: truncation, or termination if configured.
@@ -131,7 +132,7 @@ impl DecisionRewards<'_> {
         let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
         *self.steps_at_rest = if at_rest { *self.steps_at_rest + 1 } else { 0 };
         self.ending = if now.has_collided {
-            EpisodeEnding::Contact
+            EpisodeEnding::Collision
         } else if now.has_ended {
             EpisodeEnding::TimeLimit
         } else if *self.steps_at_rest >= self.min_rest_steps {
@@ -263,7 +264,7 @@ impl TrainingEpisode {
         let mut reward = rewards.sum;
         let of_last_step = rewards.of_last_step;
         let ending = rewards.ending;
-        if ending == EpisodeEnding::Contact && config.harm_reward != 0.0 {
+        if ending == EpisodeEnding::Collision && config.harm_reward != 0.0 {
             reward +=
                 config.harm_reward * harm(self.stepper.impacts(), self.stepper.motion().len());
         }
@@ -286,7 +287,7 @@ impl TrainingEpisode {
     /// True if no reward follows an ending, so that the value of the next state does not count.
     fn is_terminal(&self, ending: EpisodeEnding) -> bool {
         match ending {
-            EpisodeEnding::Contact | EpisodeEnding::AtRest => true,
+            EpisodeEnding::Collision | EpisodeEnding::AtRest => true,
             EpisodeEnding::TimeLimit => {
                 self.config.environment.time_limit == TimeLimit::Termination
             }

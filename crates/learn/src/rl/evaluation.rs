@@ -43,7 +43,8 @@ pub struct PolicyEvaluation {
     /// Mean reward of the screening scenarios, as in the paper.
     pub mean_reward: f64,
     /// Ranking scenarios that ended in a collision; none if the policy was not ranked, or there are no such scenarios.
-    pub ranking_contacts: Option<u64>,
+    #[serde(alias = "ranking_contacts")]
+    pub ranking_collisions: Option<u64>,
     /// Smallest gap between any two vehicles in all simulations, in metres.
     pub smallest_gap_m: f64,
     /// Usefulness of a ranked policy in everyday traffic; none if it was not ranked, or there are no such scenarios.
@@ -62,9 +63,9 @@ impl PolicyEvaluation {
             .map(|is_safe| f64::from(u8::from(is_safe)));
         [
             self.safe_share + safe_in_paper[0] + safe_in_paper[1],
-            match (self.combined_penalty, self.ranking_contacts) {
+            match (self.combined_penalty, self.ranking_collisions) {
                 (Some(both_sides), _) => -both_sides,
-                (None, Some(contacts)) => -(contacts as f64),
+                (None, Some(collisions)) => -(collisions as f64),
                 (None, None) => f64::NEG_INFINITY,
             },
             safe_in_paper[2],
@@ -78,7 +79,7 @@ impl PolicyEvaluation {
     #[must_use]
     pub fn is_mastered(&self, gap_m: f64) -> bool {
         self.is_safe_in_paper == [true; 3]
-            && self.ranking_contacts == Some(0)
+            && self.ranking_collisions == Some(0)
             && self.smallest_gap_m >= gap_m
     }
 }
@@ -146,18 +147,18 @@ impl EvaluationSet {
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
             let driven = drive(&self.paper, policy, estimator)?;
             for (safe, run) in is_safe_in_paper.iter_mut().zip(&driven) {
-                *safe &= run.contact_s.is_none();
+                *safe &= run.collision_s.is_none();
             }
             smallest_gap_m = smallest_gap_m.min(min_gap_m(&driven));
         }
         let draws = drive(&self.screening, policy, self.environment.estimator)?;
-        let safe = draws.iter().filter(|run| run.contact_s.is_none()).count();
+        let safe = draws.iter().filter(|run| run.collision_s.is_none()).count();
         let mut evaluation = PolicyEvaluation {
             is_safe_in_paper,
             safe_share: safe as f64 / draws.len().max(1) as f64,
             mean_reward: draws.iter().map(|run| self.reward(run)).sum::<f64>()
                 / draws.len().max(1) as f64,
-            ranking_contacts: None,
+            ranking_collisions: None,
             smallest_gap_m: smallest_gap_m.min(min_gap_m(&draws)),
             usefulness: None,
             combined_penalty: None,
@@ -179,25 +180,28 @@ impl EvaluationSet {
         evaluation: &mut PolicyEvaluation,
     ) -> Result<(), RunError> {
         let ranked = drive(&self.ranking, policy, self.environment.estimator)?;
-        let contacts = ranked.iter().filter(|run| run.contact_s.is_some()).count();
-        evaluation.ranking_contacts = Some(contacts as u64);
+        let collisions = ranked
+            .iter()
+            .filter(|run| run.collision_s.is_some())
+            .count();
+        evaluation.ranking_collisions = Some(collisions as u64);
         evaluation.smallest_gap_m = evaluation.smallest_gap_m.min(min_gap_m(&ranked));
         if let Some(traffic) = &self.traffic {
             let usefulness = traffic.evaluate(&Arc::clone(policy).into_source())?;
             evaluation.usefulness = Some(usefulness);
-            let contact_share = contacts as f64 / ranked.len() as f64;
-            evaluation.combined_penalty = Some(contact_share + usefulness.penalty());
+            let collision_share = collisions as f64 / ranked.len() as f64;
+            evaluation.combined_penalty = Some(collision_share + usefulness.penalty());
         }
         Ok(())
     }
 
     /// Returns the paper's reward of a run of 1500 steps.
     fn reward(&self, run: &EvaluationRun) -> f64 {
-        match run.contact_s {
+        match run.collision_s {
             None => run.steps as f64 * self.environment.step_reward,
-            Some(contact_s) => {
-                (contact_s / run.step_s).floor() * self.environment.step_reward
-                    + self.environment.contact_reward
+            Some(collision_s) => {
+                (collision_s / run.step_s).floor() * self.environment.step_reward
+                    + self.environment.collision_reward
             }
         }
     }
@@ -213,7 +217,7 @@ const UNSEEN_SEED: u64 = 0;
 ///
 /// # Errors
 /// [`RunError::DecisionInterval`] if the policy's decision interval does not fit the scenarios' step.
-pub fn count_unseen_contacts(
+pub fn count_unseen_collisions(
     policy: &Arc<Policy>,
     estimator: EstimatorKind,
 ) -> Result<u64, RunError> {
@@ -223,12 +227,12 @@ pub fn count_unseen_contacts(
         .collect();
     Ok(drive(&scenarios, policy, estimator)?
         .iter()
-        .filter(|run| run.contact_s.is_some())
+        .filter(|run| run.collision_s.is_some())
         .count() as u64)
 }
 
 struct EvaluationRun {
-    contact_s: Option<f64>,
+    collision_s: Option<f64>,
     smallest_gap_m: f64,
     steps: usize,
     step_s: f64,
@@ -260,7 +264,7 @@ fn drive(
                 .iter()
                 .filter_map(|vehicle| vehicle.min_gap_m);
             EvaluationRun {
-                contact_s: result.outcome.contact().map(|contact| contact.time_s),
+                collision_s: result.outcome.collision().map(|collision| collision.time_s),
                 smallest_gap_m: gaps.fold(f64::INFINITY, f64::min),
                 steps: scenario.steps(),
                 step_s: scenario.spec().step_s,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
 use super::curve::{parse_episode, parse_evaluation};
-use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_contacts};
+use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_collisions};
 use super::runner::{TrainingEvent, TrainingRecorder, end_training, start_training, train_episode};
 use super::source::ScenarioSource;
 use super::trainer::{Trainer, TrainingError};
@@ -38,7 +38,8 @@ pub struct SeedResult {
     #[serde(flatten)]
     pub evaluation: Option<PolicyEvaluation>,
     /// Collisions in the final test of [`super::UNSEEN_DRAWS`] random scenarios.
-    pub unseen_contacts: u64,
+    #[serde(alias = "unseen_contacts")]
+    pub unseen_collisions: u64,
     /// SHA-256 of the policy file; none if no checkpoint was better than the untrained network, which is not stored.
     pub policy_sha256: Option<String>,
 }
@@ -173,7 +174,7 @@ impl Study for SeedTraining<'_> {
             episodes: state.episode(),
             best_episode: best.map(|best| best.episode),
             evaluation: best.map(|best| best.evaluation),
-            unseen_contacts: count_unseen_contacts(&policy, self.config.environment.estimator)?,
+            unseen_collisions: count_unseen_collisions(&policy, self.config.environment.estimator)?,
             policy_sha256: has_learned.then(|| policy.digest()),
         };
         // The checkpoint precedes a final evaluation that is not due otherwise.

@@ -98,7 +98,7 @@ pub struct ImitationRound {
     /// Rows so far.
     pub rows: u64,
     /// Share of the round's episodes that ended in a collision.
-    pub contact_share: f64,
+    pub collision_share: f64,
     /// Mean loss in the last pass.
     pub loss: f64,
 }
@@ -119,7 +119,7 @@ struct Rows {
     hard_actions: Vec<f32>,
     /// True for the last decision of an episode.
     is_last: Vec<bool>,
-    contacts: u64,
+    collisions: u64,
     episodes: u64,
 }
 
@@ -131,7 +131,7 @@ impl Rows {
         self.weights.extend(of_episode.weights);
         self.hard_actions.extend(of_episode.hard_actions);
         self.is_last.extend(of_episode.is_last);
-        self.contacts += of_episode.contacts;
+        self.collisions += of_episode.collisions;
     }
 
     /// Drops the rows after the first `count`, with `state_width` numbers for each observation.
@@ -247,7 +247,7 @@ impl Trainer {
         let initial = self.actor_if(self.has_initial_policy)?;
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
-            let contacts_before = rows.contacts;
+            let collisions_before = rows.collisions;
             let episodes_before = rows.episodes;
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
             let driver = self.actor_if(round > 0 || self.has_initial_policy)?;
@@ -258,13 +258,13 @@ impl Trainer {
                 &mut rows,
             )?;
             let loss = self.fit(&imitation, &rows, round);
-            let contacts = rows.contacts - contacts_before;
+            let collisions = rows.collisions - collisions_before;
             let episodes = rows.episodes - episodes_before;
             done(&ImitationRound {
                 round: round + 1,
                 rounds: imitation.rounds,
                 rows: rows.actions.len() as u64,
-                contact_share: contacts as f64 / episodes.max(1) as f64,
+                collision_share: collisions as f64 / episodes.max(1) as f64,
                 loss,
             })?;
         }
@@ -392,7 +392,7 @@ fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>, instead: Option<
             .push(answer.or(outcome.expert_action).unwrap_or_default());
         rows.is_last.push(outcome.ending != EpisodeEnding::None);
         if outcome.ending != EpisodeEnding::None {
-            rows.contacts = u64::from(outcome.ending == EpisodeEnding::Contact);
+            rows.collisions = u64::from(outcome.ending == EpisodeEnding::Collision);
             return rows;
         }
     }

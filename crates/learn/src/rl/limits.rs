@@ -1,8 +1,8 @@
 //! Validation of training configurations: the range of each number, and constraints between fields.
 
 use super::config::{
-    EnvironmentConfig, EvaluationConfig, LearningConfig, NetworkConfig, PENALTY_RANGE,
-    TRAINING_VERSION, Td3Config, TrainingConfig,
+    EnvironmentConfig, LearningConfig, NetworkConfig, PENALTY_RANGE, TRAINING_VERSION,
+    TrainingConfig,
 };
 use super::config_error::{TrainingConfigError, check_range};
 use super::space_mixture;
@@ -19,14 +19,50 @@ const BATCH_COPIES: u64 = 8;
 /// Bytes of a validation scenario with its run; measured: 2200 to 2700.
 const SCENARIO_BYTES: u64 = 2600;
 
-/// The path, the value and the range of a number.
-type CheckedNumber = (&'static str, f64, [f64; 2]);
+/// Path, value and range of a number.
+type NumberRange = (&'static str, fn(&TrainingConfig) -> f64, [f64; 2]);
 
-fn check_ranges(numbers: &[CheckedNumber]) -> Result<(), TrainingConfigError> {
-    numbers
-        .iter()
-        .try_for_each(|&(field, value, range)| check_range(field, value, range))
+macro_rules! ranges {
+    ($($part:ident.$number:ident: $range:expr,)*) => {
+        &[$((
+            concat!(stringify!($part), ".", stringify!($number)),
+            |config| config.$part.$number as f64,
+            $range,
+        ),)*]
+    };
 }
+
+/// Numbers whose range depends on no other field.
+const RANGES: &[NumberRange] = ranges! {
+    environment.action_repeat: [1.0, 1500.0],
+    environment.step_reward: [0.0, 1e6],
+    environment.collision_reward: [-1e9, 0.0],
+    environment.harm_reward: [-1e9, 0.0],
+    environment.reward_scale: [1e-9, 1e3],
+    environment.max_accel_mps2: [0.1, 30.0],
+    network.final_layer_bound: [0.0, 1.0],
+    learning.actor_rate: [0.0, 1.0],
+    learning.critic_rate: [0.0, 1.0],
+    learning.discount: [0.0, 0.999_999_9],
+    learning.tau: [0.0, 1.0],
+    learning.batch: [1.0, 65_536.0],
+    learning.decisions_per_update: [1.0, 1e6],
+    exploration.learning_starts_episode: [0.0, 1e7],
+    exploration.random_hold_steps: [1.0, 1500.0],
+    exploration.noise: [0.0, 10.0],
+    exploration.noise_decay: [0.0, 1.0],
+    replay.capacity: [1.0, 1e8],
+    replay.collision_fraction: [0.0, 1.0],
+    td3.actor_every: [1.0, 1e6],
+    td3.target_noise: [0.0, 10.0],
+    td3.target_noise_limit: [0.0, 10.0],
+    evaluation.every_episodes: [1.0, 1e9],
+    evaluation.screening_draws: [1.0, 1e6],
+    evaluation.ranking_draws: [0.0, 1e6],
+    evaluation.usefulness_draws: [0.0, 1e4],
+    evaluation.master_gap_m: [0.0, 16.0],
+    evaluation.weight_average_updates: [0.0, 1e9],
+};
 
 fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
     let weight = f64::from(weight);
@@ -46,21 +82,17 @@ impl TrainingConfig {
     /// [`TrainingConfigError::Range`] and [`TrainingConfigError::Field`] name the first invalid field.
     pub fn check(&self) -> Result<(), TrainingConfigError> {
         self.check_header()?;
-        self.environment.check()?;
+        RANGES
+            .iter()
+            .try_for_each(|(field, value, range)| check_range(field, value(self), *range))?;
+        self.environment.check_terms()?;
         self.network.check_layers()?;
         if let Some(imitation) = &self.imitation {
             imitation.check()?;
         }
-        check_ranges(&[(
-            "network.final_layer_bound",
-            f64::from(self.network.final_layer_bound),
-            [0.0, 1.0],
-        )])?;
-        self.learning.check()?;
-        self.check_exploration()?;
-        self.check_replay()?;
-        self.td3.check()?;
-        self.evaluation.check()?;
+        self.learning.check_decay_and_penalties()?;
+        self.check_decay_after_start()?;
+        self.check_capacity()?;
         space_mixture::check_spaces(&self.spaces)?;
         self.check_memory()
     }
@@ -77,45 +109,27 @@ impl TrainingConfig {
         check_range("episodes", self.episodes as f64, [least, 1e7])
     }
 
-    fn check_exploration(&self) -> Result<(), TrainingConfigError> {
-        let exploration = &self.exploration;
-        let random = exploration.learning_starts_episode;
-        check_range(
-            "exploration.learning_starts_episode",
-            random as f64,
-            [0.0, 1e7],
-        )?;
+    fn check_decay_after_start(&self) -> Result<(), TrainingConfigError> {
+        let random = self.exploration.learning_starts_episode;
         let decay = self.learning.lr_decay.as_ref();
-        if let Some(decay) = decay.filter(|decay| decay.until_episode <= random) {
-            let problem = format!(
-                "must be above exploration.learning_starts_episode, after which learning starts: above {random}, \
-                 found {}",
-                decay.until_episode
-            );
-            let field = "learning.lr_decay.until_episode";
-            return Err(TrainingConfigError::field(field, problem));
-        }
-        let hold_steps = f64::from(exploration.random_hold_steps);
-        check_ranges(&[
-            ("exploration.random_hold_steps", hold_steps, [1.0, 1500.0]),
-            ("exploration.noise", exploration.noise, [0.0, 10.0]),
-            (
-                "exploration.noise_decay",
-                exploration.noise_decay,
-                [0.0, 1.0],
-            ),
-        ])
+        let Some(decay) = decay.filter(|decay| decay.until_episode <= random) else {
+            return Ok(());
+        };
+        let problem = format!(
+            "must be above exploration.learning_starts_episode, after which learning starts: above {random}, found {}",
+            decay.until_episode
+        );
+        let field = "learning.lr_decay.until_episode";
+        Err(TrainingConfigError::field(field, problem))
     }
 
-    fn check_replay(&self) -> Result<(), TrainingConfigError> {
+    fn check_capacity(&self) -> Result<(), TrainingConfigError> {
         let capacity = self.replay.capacity;
-        check_range("replay.capacity", capacity as f64, [1.0, 1e8])?;
         if capacity < self.learning.batch {
             let problem = format!("holds {capacity} transitions, less than learning.batch");
             return Err(TrainingConfigError::field("replay.capacity", problem));
         }
-        let fraction = self.replay.collision_fraction;
-        check_range("replay.collision_fraction", fraction, [0.0, 1.0])
+        Ok(())
     }
 
     /// Refuses a training that needs more than [`MAX_MEMORY_BYTES`], and names the field with the largest share.
@@ -183,27 +197,7 @@ fn float_bytes(count: u64) -> u64 {
 }
 
 impl EnvironmentConfig {
-    fn check(&self) -> Result<(), TrainingConfigError> {
-        check_ranges(&[
-            (
-                "environment.action_repeat",
-                f64::from(self.action_repeat),
-                [1.0, 1500.0],
-            ),
-            ("environment.step_reward", self.step_reward, [0.0, 1e6]),
-            (
-                "environment.contact_reward",
-                self.contact_reward,
-                [-1e9, 0.0],
-            ),
-            ("environment.harm_reward", self.harm_reward, [-1e9, 0.0]),
-            ("environment.reward_scale", self.reward_scale, [1e-9, 1e3]),
-            (
-                "environment.max_accel_mps2",
-                self.max_accel_mps2,
-                [0.1, 30.0],
-            ),
-        ])?;
+    fn check_terms(&self) -> Result<(), TrainingConfigError> {
         let mut terms = self.costs.ranges().chain(self.observation.ranges());
         terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
         self.observation.check()
@@ -231,93 +225,15 @@ impl NetworkConfig {
 }
 
 impl LearningConfig {
-    fn check(&self) -> Result<(), TrainingConfigError> {
-        check_ranges(&[
-            (
-                "learning.actor_rate",
-                f64::from(self.actor_rate),
-                [0.0, 1.0],
-            ),
-            (
-                "learning.critic_rate",
-                f64::from(self.critic_rate),
-                [0.0, 1.0],
-            ),
-        ])?;
+    fn check_decay_and_penalties(&self) -> Result<(), TrainingConfigError> {
         if let Some(decay) = &self.lr_decay {
-            check_ranges(&[
-                (
-                    "learning.lr_decay.until_episode",
-                    decay.until_episode as f64,
-                    [1.0, 1e7],
-                ),
-                (
-                    "learning.lr_decay.final_factor",
-                    decay.final_factor,
-                    [0.0, 1.0],
-                ),
-            ])?;
+            let until = decay.until_episode as f64;
+            check_range("learning.lr_decay.until_episode", until, [1.0, 1e7])?;
+            let factor = decay.final_factor;
+            check_range("learning.lr_decay.final_factor", factor, [0.0, 1.0])?;
         }
-        check_ranges(&[
-            ("learning.discount", self.discount, [0.0, 0.999_999_9]),
-            ("learning.tau", f64::from(self.tau), [0.0, 1.0]),
-            ("learning.batch", self.batch as f64, [1.0, 65_536.0]),
-            (
-                "learning.decisions_per_update",
-                f64::from(self.decisions_per_update),
-                [1.0, 1e6],
-            ),
-        ])?;
         check_penalty("learning.saturation_penalty", self.saturation_penalty)?;
         check_penalty("learning.smoothness_penalty", self.smoothness_penalty)
-    }
-}
-
-impl Td3Config {
-    fn check(&self) -> Result<(), TrainingConfigError> {
-        check_ranges(&[
-            ("td3.actor_every", f64::from(self.actor_every), [1.0, 1e6]),
-            (
-                "td3.target_noise",
-                f64::from(self.target_noise),
-                [0.0, 10.0],
-            ),
-            (
-                "td3.target_noise_limit",
-                f64::from(self.target_noise_limit),
-                [0.0, 10.0],
-            ),
-        ])
-    }
-}
-
-impl EvaluationConfig {
-    fn check(&self) -> Result<(), TrainingConfigError> {
-        let mean_over = self.weight_average_updates as f64;
-        check_ranges(&[
-            (
-                "evaluation.every_episodes",
-                self.every_episodes as f64,
-                [1.0, 1e9],
-            ),
-            (
-                "evaluation.screening_draws",
-                self.screening_draws as f64,
-                [1.0, 1e6],
-            ),
-            (
-                "evaluation.ranking_draws",
-                self.ranking_draws as f64,
-                [0.0, 1e6],
-            ),
-            (
-                "evaluation.usefulness_draws",
-                self.usefulness_draws as f64,
-                [0.0, 1e4],
-            ),
-            ("evaluation.master_gap_m", self.master_gap_m, [0.0, 16.0]),
-            ("evaluation.weight_average_updates", mean_over, [0.0, 1e9]),
-        ])
     }
 }
 

@@ -45,7 +45,7 @@ pub use curve::{learning_curve, parse_episode};
 pub use environment::{
     EpisodeConstants, EpisodeEnding, StepOutcome, TrainingEpisode, action_bounds,
 };
-pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen_contacts};
+pub use evaluation::{EvaluationSet, PolicyEvaluation, UNSEEN_DRAWS, count_unseen_collisions};
 pub use folder::{
     SeedResult, SeedTraining, SeedTrainingState, read_finished_trainings, seed_folder,
 };
@@ -59,10 +59,10 @@ pub(crate) use runner::{TrainingRecorder, train_with_recorder};
 pub use source::{CaseMixture, PaperSource, ScenarioSource, SourceMixture, unsuitability};
 pub use space_mixture::{SpaceMixture, TrainingSpace};
 pub use trainer::{BestPolicy, EpisodeRecord, Trainer, TrainingError};
-pub use usefulness::TrafficUsefulness;
 pub(crate) use usefulness::{
     EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficBenchmark, measure_usefulness,
 };
+pub use usefulness::{EverydayUsefulness, TrafficUsefulness};
 
 #[cfg(test)]
 mod tests;

@@ -1,9 +1,10 @@
 //! Observation of the agent: a selection of the paper's eight quantities, and their scaling.
 
+use crumple_core::text_file::is_one;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
-use super::serde_helpers::{default_one, is_one};
+use super::serde_helpers::default_one;
 use crumple_sim::policy::{
     ExtraInput, MAX_EXTRA_INPUTS, MAX_HISTORY, ObservationScaling, STATE_LEN,
 };

@@ -22,12 +22,12 @@ pub struct Transition<'a> {
     /// True if the value of the next state is bootstrapped.
     pub continues: bool,
     /// True if the transition ended in a collision.
-    pub contact: bool,
+    pub collision: bool,
     /// Action of the expert, in `[-1, 1]`; none without imitation.
     pub expert_action: Option<f32>,
 }
 
-/// Numbers of a transition besides observations: action, reward, `continues`, `contact`, the expert's action.
+/// Numbers of a transition besides observations: action, reward, `continues`, `collision`, the expert's action.
 const SCALAR_COUNT: usize = 5;
 /// Value in place of the action of an absent expert, larger than every action. It is not NaN, because checkpoints hold
 /// finite numbers only.
@@ -57,7 +57,7 @@ pub(crate) struct ReplayBuffer {
     total_stored: u64,
     data: Vec<f32>,
     /// Indices of transitions that ended in a collision, oldest first.
-    contact_indices: VecDeque<u32>,
+    collision_indices: VecDeque<u32>,
 }
 
 /// Transitions that are sampled for one update, one row each.
@@ -134,13 +134,13 @@ impl Transition<'_> {
             .into_iter()
             .flatten()
             .copied();
-        let [continues, contact] =
-            [self.continues, self.contact].map(|flag| f32::from(u8::from(flag)));
+        let [continues, collision] =
+            [self.continues, self.collision].map(|flag| f32::from(u8::from(flag)));
         let scalars: [f32; SCALAR_COUNT] = [
             self.action,
             self.reward,
             continues,
-            contact,
+            collision,
             self.expert_action.unwrap_or(NO_EXPERT_ACTION),
         ];
         states.chain(scalars).collect()
@@ -157,7 +157,7 @@ impl ReplayBuffer {
             width,
             total_stored: 0,
             data: Vec::new(),
-            contact_indices: VecDeque::new(),
+            collision_indices: VecDeque::new(),
         }
     }
 
@@ -173,8 +173,8 @@ impl ReplayBuffer {
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(index) {
             Some(oldest) => {
-                if self.contact_indices.front() == Some(&(index as u32)) {
-                    self.contact_indices.pop_front();
+                if self.collision_indices.front() == Some(&(index as u32)) {
+                    self.collision_indices.pop_front();
                 }
                 oldest
                     .iter_mut()
@@ -186,8 +186,8 @@ impl ReplayBuffer {
                 self.data.extend(numbers);
             }
         }
-        if transition.contact {
-            self.contact_indices.push_back(index as u32);
+        if transition.collision {
+            self.collision_indices.push_back(index as u32);
         }
         self.total_stored += 1;
     }
@@ -208,21 +208,22 @@ impl ReplayBuffer {
         &self,
         stream: &mut Stream,
         count: usize,
-        contact_share: f64,
+        collision_share: f64,
         batch: &mut Batch,
     ) {
         batch.clear();
         if self.data.is_empty() {
             return;
         }
-        let of_contacts = if self.contact_indices.is_empty() {
+        let of_collisions = if self.collision_indices.is_empty() {
             0
         } else {
-            (contact_share * count as f64).round() as usize
+            (collision_share * count as f64).round() as usize
         };
         for drawn in 0..count {
-            let index = if drawn < of_contacts {
-                self.contact_indices[stream.random_range(0..self.contact_indices.len())] as usize
+            let index = if drawn < of_collisions {
+                self.collision_indices[stream.random_range(0..self.collision_indices.len())]
+                    as usize
             } else {
                 stream.random_range(0..self.len())
             };
@@ -259,12 +260,12 @@ impl ReplayBuffer {
         } else {
             (stored % capacity as u64) as usize
         };
-        replay.contact_indices = (oldest..replay.len())
+        replay.collision_indices = (oldest..replay.len())
             .chain(0..oldest)
             .filter(|&index| {
                 replay
                     .transition(index)
-                    .is_some_and(|transition| transition.contact)
+                    .is_some_and(|transition| transition.collision)
             })
             .map(|index| index as u32)
             .collect();
@@ -275,7 +276,7 @@ impl ReplayBuffer {
         let row = self
             .data
             .get(index * self.width..(index + 1) * self.width)?;
-        let (states, &[action, reward, continues, contact, expert]) = row.split_last_chunk()?;
+        let (states, &[action, reward, continues, collision, expert]) = row.split_last_chunk()?;
         let (state, others) = states.split_at_checked(self.layout.state_width)?;
         let (next_state, privileged) = others.split_at_checked(self.layout.state_width)?;
         Some(Transition {
@@ -285,7 +286,7 @@ impl ReplayBuffer {
             action,
             reward,
             continues: continues != 0.0,
-            contact: contact != 0.0,
+            collision: collision != 0.0,
             expert_action: Some(expert).filter(|&action| action != NO_EXPERT_ACTION),
         })
     }
@@ -312,7 +313,7 @@ mod tests {
             action: 0.5,
             reward: number as f32,
             continues: !number.is_multiple_of(7),
-            contact: number.is_multiple_of(7),
+            collision: number.is_multiple_of(7),
             expert_action: (!number.is_multiple_of(3)).then_some(0.25),
         }
     }
@@ -331,8 +332,8 @@ mod tests {
             let mut rewards: Vec<usize> = (0..replay.len()).map(reward).collect();
             rewards.sort_unstable();
             prop_assert_eq!(rewards, kept.clone().collect::<Vec<_>>());
-            let contacts: Vec<usize> = replay.contact_indices.iter().map(|&p| reward(p as usize)).collect();
-            prop_assert_eq!(contacts, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
+            let collisions: Vec<usize> = replay.collision_indices.iter().map(|&p| reward(p as usize)).collect();
+            prop_assert_eq!(collisions, kept.filter(|number| number % 7 == 0).collect::<Vec<_>>());
             prop_assert_eq!(replay.data.capacity(), capacity * replay.width);
             let (stored, numbers) = replay.as_raw_parts();
             let numbers = numbers.to_vec();
@@ -368,12 +369,12 @@ mod tests {
             0.25,
             &mut batch,
         );
-        let contacts = batch
+        let collisions = batch
             .rewards
             .iter()
             .take(250)
             .filter(|&&number| (number as usize).is_multiple_of(7))
             .count();
-        assert_eq!((contacts, batch.len()), (250, 1000));
+        assert_eq!((collisions, batch.len()), (250, 1000));
     }
 }

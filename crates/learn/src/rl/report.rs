@@ -58,11 +58,11 @@ impl SeedResult {
         let [paper_1, paper_2, paper_3] = evaluation
             .is_safe_in_paper
             .map(|is_safe| if is_safe { "safe" } else { "COLLISION" });
-        let validation = match evaluation.ranking_contacts {
+        let validation = match evaluation.ranking_collisions {
             Some(collisions) => format!("{collisions}/{validation_scenarios}"),
             None => format!("{:.0} % safe", 100.0 * evaluation.safe_share),
         };
-        let test = format!("{}/{UNSEEN_DRAWS}", self.unseen_contacts);
+        let test = format!("{}/{UNSEEN_DRAWS}", self.unseen_collisions);
         let digest = self.policy_sha256.as_ref();
         format!(
             "{:>6} {:>8} {:>6}  {paper_1:<9} {paper_2:<9} {paper_3:<9} {validation:>10} {test:>10} {:>7.2}  {}\n",

@@ -71,7 +71,7 @@ impl RewardTracker {
     #[inline]
     pub(super) fn step_reward(&mut self, now: &StepView<'_>, config: &EnvironmentConfig) -> f64 {
         if now.has_collided {
-            return config.contact_reward;
+            return config.collision_reward;
         }
         if self.is_free {
             return config.step_reward;

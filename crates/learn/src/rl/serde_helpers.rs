@@ -7,10 +7,6 @@ pub(super) fn default_one<T: From<u8>>() -> T {
     T::from(1)
 }
 
-pub(super) fn is_one<T: From<u8> + PartialEq>(value: &T) -> bool {
-    *value == default_one()
-}
-
 /// Deserializes an f32 and rejects non-zero values that underflow to 0.
 pub(super) fn deserialize_f32_no_underflow<'de, D: Deserializer<'de>>(
     deserializer: D,

@@ -1,10 +1,11 @@
 //! Training spaces by name or file, and their mixture.
 
+use crumple_core::text_file::is_one;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::{TrainingConfigError, check_range};
-use super::serde_helpers::{default_one, is_one};
+use super::serde_helpers::default_one;
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_controllers::Controllers;
 use crumple_core::text_file::is_default;

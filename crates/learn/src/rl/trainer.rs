@@ -284,7 +284,7 @@ impl Trainer {
                 action,
                 reward: after.reward,
                 continues: after.continues,
-                contact: after.ending == EpisodeEnding::Contact,
+                collision: after.ending == EpisodeEnding::Collision,
                 expert_action: after.expert_action,
             });
             state.copy_from_slice(next_state);
@@ -339,8 +339,8 @@ impl Trainer {
         };
         let most_cost = (self.source.max_cost_multiplier() * environment.costs.max_cost()).max(1.0);
         // The harm of two vehicles is at most 2.
-        let dearest_contact = -environment.contact_reward - 2.0 * environment.harm_reward;
-        let largest_value = environment.reward_scale * most_cost * paid.max(dearest_contact);
+        let dearest_collision = -environment.collision_reward - 2.0 * environment.harm_reward;
+        let largest_value = environment.reward_scale * most_cost * paid.max(dearest_collision);
         let critic_loss = record.critic_loss;
         let mean_value = record.mean_value;
         // ReLU turns NaN into 0, so the outputs of a broken network can be finite.

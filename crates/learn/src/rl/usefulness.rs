@@ -1,4 +1,4 @@
-//! Usefulness of a policy: everyday traffic without noise, compared with `idm`.
+//! Usefulness of a policy: the spaces `traffic` and `everyday` without exploration noise, compared with `idm`.
 
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -33,11 +33,12 @@ pub struct TrafficUsefulness {
     #[serde(alias = "drives")]
     pub scenario_count: u64,
     /// Scenarios that ended in a collision.
-    pub contacts: u64,
+    #[serde(alias = "contacts")]
+    pub collisions: u64,
     /// Scenarios with braking above 4 m/s² whose cause required less than 3 m/s².
     #[serde(alias = "hard")]
     pub hard_braking: u64,
-    /// Scenarios in which the ego vehicle ended at less than half the leader's speed.
+    /// Scenarios in which the ego vehicle fell behind its leader, at less than half its speed or far behind it.
     #[serde(alias = "left_behind")]
     pub fell_behind: u64,
     /// RMS of acceleration over all scenarios, relative to that of `idm`.
@@ -50,6 +51,30 @@ pub struct TrafficUsefulness {
     /// they collide or do not settle before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub line_gain: Option<f64>,
+    /// Result in as many scenarios of the space `everyday`; none in files of 0.3.0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub everyday: Option<EverydayUsefulness>,
+}
+
+/// Result of a controller in random scenarios of the space `everyday`, which has followers of every kind.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EverydayUsefulness {
+    /// Scenarios in which this controller has a fault, and `idm` has none: a collision, unnecessary braking, braking
+    /// above 4 m/s² whose cause required less than 3 m/s², or falling behind.
+    pub faults: u64,
+    /// RMS of jerk over all scenarios, relative to that of `idm`.
+    pub jerk_times_idm: f64,
+}
+
+/// The result of `idm`.
+impl Default for EverydayUsefulness {
+    fn default() -> Self {
+        Self {
+            faults: 0,
+            jerk_times_idm: 1.0,
+        }
+    }
 }
 
 impl TrafficUsefulness {
@@ -59,28 +84,71 @@ impl TrafficUsefulness {
         let off_s = (closest_s - self.mean_time_gap_s)
             .max(self.mean_time_gap_s - furthest_s)
             .max(0.0);
-        let [acceleration_excess, jerk_excess] = [self.acceleration_times_idm, self.jerk_times_idm]
-            .map(|times_idm| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0));
-        let excess = acceleration_excess + jerk_excess + off_s;
-        (self.contacts + self.hard_braking + self.fell_behind) as f64
-            / self.scenario_count.max(1) as f64
-            + EXCESS_WEIGHT * excess
+        let everyday = self.everyday.unwrap_or_default();
+        let excess: f64 = [
+            self.acceleration_times_idm,
+            self.jerk_times_idm,
+            everyday.jerk_times_idm,
+        ]
+        .into_iter()
+        .map(|times_idm| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0))
+        .sum();
+        let faults = self.collisions + self.hard_braking + self.fell_behind + everyday.faults;
+        faults as f64 / self.scenario_count.max(1) as f64 + EXCESS_WEIGHT * (excess + off_s)
     }
 }
 
-/// Random scenarios of everyday traffic, the result of `idm` in them, and a line of vehicles.
+/// Random scenarios of everyday driving, the results of `idm` in them, and a line of vehicles.
 #[derive(Debug, Clone)]
 pub(crate) struct TrafficBenchmark {
     draws: Vec<Scenario>,
+    everyday: Vec<Scenario>,
     line: Option<Scenario>,
     estimator: EstimatorKind,
     idm_rms: [f64; 2],
+    /// Drives of `idm` in the scenarios of `everyday`.
+    idm_everyday: Vec<EverydayOutcome>,
+}
+
+/// Result of a drive in the space `everyday`.
+#[derive(Debug, Clone, Copy, Default)]
+struct EverydayOutcome {
+    is_faulty: bool,
+    rms_jerk_mps3: f64,
+}
+
+impl EverydayOutcome {
+    fn new(result: &SimulationResult) -> Self {
+        let measures = measure_usefulness(result);
+        let is_faulty = result.outcome.collision().is_some()
+            || measures.is_some_and(|measures| {
+                let following = measures.following;
+                !measures.unnecessary.is_empty()
+                    || !measures.hard.is_empty()
+                    || following.is_some_and(|following| following.fell_behind)
+            });
+        let rms_jerk_mps3 = measures.and_then(|measures| measures.rms_jerk_mps3);
+        Self {
+            is_faulty,
+            rms_jerk_mps3: rms_jerk_mps3.unwrap_or(0.0),
+        }
+    }
+}
+
+/// Returns the first random scenarios of a built-in space.
+fn draw_all(space: &str, seed: u64, count: u64) -> Vec<Scenario> {
+    let space = built_in_space(space);
+    let draws = space
+        .iter()
+        .flat_map(|space| (0..count).filter_map(move |index| space.draw(seed, index).ok()));
+    draws.collect()
 }
 
 /// Counts and sums over the drives of everyday traffic.
 #[derive(Default)]
 struct TrafficTally {
-    contacts: u64,
+    drives: u64,
+    collisions: u64,
     hard_braking: u64,
     fell_behind: u64,
     /// Drives with a mean time gap.
@@ -95,18 +163,27 @@ impl TrafficTally {
     fn from_runs(runs: &[Run]) -> Self {
         let drives = simulate_batch(runs, RecordingLevel::Trace, |_, result| {
             (
-                result.outcome.contact().is_some(),
+                result.outcome.collision().is_some(),
                 measure_usefulness(&result),
             )
         });
-        let mut tally = Self::default();
+        let mut tally = Self {
+            drives: runs.len() as u64,
+            ..Self::default()
+        };
         for (collided, measures) in drives {
-            tally.contacts += u64::from(collided);
+            tally.collisions += u64::from(collided);
             if let Some(measures) = measures {
                 tally.add(&measures);
             }
         }
         tally
+    }
+
+    /// Returns the root mean squares of acceleration and jerk over all drives.
+    fn rms(&self) -> [f64; 2] {
+        self.sum_squares
+            .map(|sum| (sum / self.drives.max(1) as f64).sqrt())
     }
 
     fn add(&mut self, measures: &UsefulnessMeasures) {
@@ -124,21 +201,19 @@ impl TrafficTally {
 }
 
 impl TrafficBenchmark {
-    /// Samples the first scenarios of the built-in space `traffic`.
+    /// Samples the first scenarios of the built-in spaces `traffic` and `everyday`.
     pub(crate) fn new(seed: u64, draws: u64, estimator: EstimatorKind) -> Result<Self, RunError> {
-        let space = built_in_space("traffic");
-        let draws = space
-            .iter()
-            .flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok()))
-            .collect();
         let mut traffic = Self {
-            draws,
+            draws: draw_all("traffic", seed, draws),
+            everyday: draw_all("everyday", seed, draws),
             line: speed_dip(LINE.0, LINE.1).ok(),
             estimator,
             idm_rms: [1.0; 2],
+            idm_everyday: Vec::new(),
         };
-        let idm = traffic.evaluate(&BuiltInController::Idm(Default::default()).into_source())?;
-        traffic.idm_rms = [idm.acceleration_times_idm, idm.jerk_times_idm];
+        let idm = BuiltInController::Idm(Default::default()).into_source();
+        traffic.idm_rms = traffic.drive_traffic(&idm)?.rms();
+        traffic.idm_everyday = traffic.drive_everyday(&idm)?;
         Ok(traffic)
     }
 
@@ -146,30 +221,73 @@ impl TrafficBenchmark {
         &self,
         controller: &Arc<dyn ControllerSource>,
     ) -> Result<TrafficUsefulness, RunError> {
-        let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
-        let runs = self
-            .draws
-            .iter()
-            .map(|scenario| Run::new(scenario, options.clone()))
-            .collect::<Result<Vec<_>, _>>()?;
-        let tally = TrafficTally::from_runs(&runs);
-        let [acceleration, jerk] = tally
-            .sum_squares
-            .map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());
+        let tally = self.drive_traffic(controller)?;
+        let [acceleration, jerk] = tally.rms();
         let [idm_acceleration, idm_jerk] = self.idm_rms;
+        let line_gain = match &self.line {
+            Some(line) => line_gain(line, self.options(controller))?,
+            None => None,
+        };
         Ok(TrafficUsefulness {
-            scenario_count: runs.len() as u64,
-            contacts: tally.contacts,
+            scenario_count: tally.drives,
+            collisions: tally.collisions,
             hard_braking: tally.hard_braking,
             fell_behind: tally.fell_behind,
             acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
             jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
             mean_time_gap_s: tally.time_gap_sum_s / tally.moving_drives.max(1) as f64,
-            line_gain: self
-                .line
-                .as_ref()
-                .and_then(|line| line_gain(line, options).transpose())
-                .transpose()?,
+            line_gain,
+            everyday: Some(self.evaluate_everyday(controller)?),
+        })
+    }
+
+    fn options(&self, controller: &Arc<dyn ControllerSource>) -> RunOptions {
+        RunOptions::new(controller.clone()).with_estimator(self.estimator)
+    }
+
+    fn runs(&self, scenarios: &[Scenario], options: &RunOptions) -> Result<Vec<Run>, RunError> {
+        let runs = scenarios.iter();
+        runs.map(|scenario| Run::new(scenario, options.clone()))
+            .collect()
+    }
+
+    /// Simulates a controller in the scenarios of `traffic`.
+    fn drive_traffic(
+        &self,
+        controller: &Arc<dyn ControllerSource>,
+    ) -> Result<TrafficTally, RunError> {
+        let runs = self.runs(&self.draws, &self.options(controller))?;
+        Ok(TrafficTally::from_runs(&runs))
+    }
+
+    /// Simulates a controller in the scenarios of `everyday`.
+    fn drive_everyday(
+        &self,
+        controller: &Arc<dyn ControllerSource>,
+    ) -> Result<Vec<EverydayOutcome>, RunError> {
+        let runs = self.runs(&self.everyday, &self.options(controller))?;
+        Ok(simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+            EverydayOutcome::new(&result)
+        }))
+    }
+
+    /// Compares a controller with `idm` in the scenarios of `everyday`.
+    fn evaluate_everyday(
+        &self,
+        controller: &Arc<dyn ControllerSource>,
+    ) -> Result<EverydayUsefulness, RunError> {
+        let drives = self.drive_everyday(controller)?;
+        let only_here = drives
+            .iter()
+            .zip(&self.idm_everyday)
+            .filter(|(own, idm)| own.is_faulty && !idm.is_faulty);
+        let [jerk, idm_jerk] = [&drives, &self.idm_everyday].map(|drives| {
+            let squares = drives.iter().map(|drive| drive.rms_jerk_mps3.powi(2));
+            squares.sum::<f64>().sqrt()
+        });
+        Ok(EverydayUsefulness {
+            faults: only_here.count() as u64,
+            jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
         })
     }
 }
@@ -198,8 +316,12 @@ mod tests {
         let idm = traffic
             .evaluate(&BuiltInController::Idm(Default::default()).into_source())
             .unwrap();
-        assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
+        assert_eq!(
+            (idm.collisions, idm.hard_braking, idm.fell_behind),
+            (0, 0, 0)
+        );
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
+        assert_eq!(idm.everyday, Some(EverydayUsefulness::default()));
         assert!(idm.penalty() < 0.02, "{idm:?}");
         let policy = traffic
             .evaluate(&Policy::reference().into_source())

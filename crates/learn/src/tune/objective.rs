@@ -14,11 +14,14 @@ use crumple_spaces::ScenarioSpace;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TuningObjective {
-    /// The weighted mean of the collision shares in the spaces, plus a penalty in the space `traffic`: the share of
-    /// drives with a collision, with unnecessary hard braking (above 4 m/s², of which less than 3 m/s² had a cause) or
-    /// left behind, each counted, and half the excess over the limits of comfort and time gap. These are 1.2 times the
-    /// RMS of acceleration and jerk of `idm` (the excess is relative), and a mean time gap from 1.2 to 2.1 s (the
-    /// excess is in seconds).
+    /// The weighted mean of the collision shares in the spaces, plus a penalty in the spaces `traffic` and `everyday`.
+    ///
+    /// - In `traffic`: the share of drives with a collision, with unnecessary hard braking (above 4 m/s², of which less
+    ///   than 3 m/s² had a cause) or left behind, each counted.
+    /// - In `everyday`: the share of drives with one of these faults or any unnecessary braking, if `idm` has none.
+    /// - Half the excess over the limits of comfort and time gap: 1.2 times the RMS of acceleration (in `traffic`) and
+    ///   jerk of `idm` (the excess is relative), and a mean time gap in `traffic` from 1.2 to 2.1 s (the excess is in
+    ///   seconds).
     Both,
     /// The weighted mean of the collision shares in the spaces.
     Safety,
@@ -43,7 +46,7 @@ pub struct ControllerScore {
     pub objective: f64,
     /// Number of collisions in each space, in their order.
     pub collisions: Vec<u64>,
-    /// Usefulness in `traffic`; none if it was not simulated.
+    /// Usefulness in `traffic` and `everyday`; none if it was not simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traffic: Option<TrafficUsefulness>,
 }
@@ -59,7 +62,7 @@ pub(super) struct ScoringSet {
 }
 
 impl ScoringSet {
-    /// Samples the first `runs` scenarios of each space, and of `traffic` if `with_traffic` is set.
+    /// Samples the first `runs` scenarios of each space, and of `traffic` and `everyday` if `with_traffic` is set.
     pub(super) fn new(
         (objective, spaces): (TuningObjective, &[TuningSpace]),
         (seed, runs): (u64, u64),
@@ -99,7 +102,7 @@ impl ScoringSet {
                 .map(|scenario| Run::new(scenario, options.clone()))
                 .collect::<Result<Vec<_>, _>>()?;
             let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, result| {
-                result.outcome.contact().is_some()
+                result.outcome.collision().is_some()
             });
             let count = collided.into_iter().filter(|&collided| collided).count() as u64;
             collisions.push(count);

@@ -184,11 +184,12 @@ impl TuningReport {
                 "The objective is the weighted mean of their collision shares.".to_owned()
             }
             TuningObjective::Both => format!(
-                "The objective is the weighted mean of their collision shares, plus a penalty in `traffic`: the shares \
-                 of drives with a collision, with unnecessary hard braking and left behind, and {} times the relative \
-                 excess of RMS acceleration and of RMS jerk above {} times those of `idm`, and the distance of the \
-                 mean time gap from {closest_s} to {furthest_s} s, in seconds.",
-                EXCESS_WEIGHT, MAX_RATIO_TO_IDM
+                "The objective is the weighted mean of their collision shares, plus a penalty. The penalty has the \
+                 shares of drives in `traffic` with a collision, with unnecessary hard braking and left behind. It has \
+                 the share of drives in `everyday` with one of these faults or any unnecessary braking, if `idm` has \
+                 none. The rest is {EXCESS_WEIGHT} times a sum: the relative excesses of RMS acceleration and of RMS \
+                 jerk (also in `everyday`) above {MAX_RATIO_TO_IDM} times those of `idm`, and the distance of the \
+                 mean time gap from {closest_s} to {furthest_s} s, in seconds."
             ),
         }
     }
@@ -197,7 +198,8 @@ impl TuningReport {
     fn write_test(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
-            "\n## Test set\n\n{} other random scenarios of each space and of `traffic`, which decided nothing. \
+            "\n## Test set\n\n{} other random scenarios of each space, of `traffic` and of `everyday`, which decided \
+             nothing. \
              Shares in %, with exact {:.0} % intervals. Hard braking: above 4 m/s², of which less than 3 m/s² had a \
              cause.\n",
             self.config.test_runs,
@@ -228,9 +230,9 @@ impl TuningReport {
             &'static str,
             fn(&TrafficUsefulness, &TuningReport) -> String,
         );
-        let measures: [MeasureRow; 6] = [
+        let measures: [MeasureRow; 8] = [
             ("collisions in `traffic`", |usefulness, report| {
-                report.format_share(usefulness.contacts)
+                report.format_share(usefulness.collisions)
             }),
             (
                 "unnecessary hard braking in `traffic`",
@@ -239,12 +241,27 @@ impl TuningReport {
             ("left behind in `traffic`", |usefulness, report| {
                 report.format_share(usefulness.fell_behind)
             }),
+            ("faults in `everyday`", |usefulness, report| {
+                let everyday = usefulness.everyday;
+                everyday.map_or("–".to_owned(), |everyday| {
+                    report.format_share(everyday.faults)
+                })
+            }),
             ("RMS acceleration, relative to `idm`", |usefulness, _| {
                 format!("{:.2}", usefulness.acceleration_times_idm)
             }),
             ("RMS jerk, relative to `idm`", |usefulness, _| {
                 format!("{:.2}", usefulness.jerk_times_idm)
             }),
+            (
+                "RMS jerk in `everyday`, relative to `idm`",
+                |usefulness, _| {
+                    let everyday = usefulness.everyday;
+                    everyday.map_or("–".to_owned(), |everyday| {
+                        format!("{:.2}", everyday.jerk_times_idm)
+                    })
+                },
+            ),
             ("mean time gap, s", |usefulness, _| {
                 format!("{:.2}", usefulness.mean_time_gap_s)
             }),
@@ -272,14 +289,8 @@ impl TuningReport {
     }
 
     fn format_share(&self, count: u64) -> String {
-        let RateInterval { lower, upper } =
-            RateInterval::clopper_pearson(count, self.config.test_runs, CONFIDENCE);
+        let interval = RateInterval::clopper_pearson(count, self.config.test_runs, CONFIDENCE);
         let share = count as f64 / self.config.test_runs.max(1) as f64;
-        format!(
-            "{:.2} ({:.2} to {:.2})",
-            100.0 * share,
-            100.0 * lower,
-            100.0 * upper
-        )
+        format!("{:.2} ({})", 100.0 * share, interval.to_percent_text(2))
     }
 }

@@ -106,7 +106,7 @@ fn interruptions_and_threads_change_no_byte() {
         .unwrap_err()
         .to_string();
     assert!(
-        refused.ends_with("the tuning there has a different configuration"),
+        refused.ends_with("configuration: line 6 is `seed = 5` there, and `seed = 6` now"),
         "{refused}"
     );
 }

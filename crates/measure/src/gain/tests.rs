@@ -113,15 +113,31 @@ fn idm_with_more_acceleration_damps_at_all_speeds() {
     assert!((0.99..0.9995).contains(&gain), "{at:?} {gain}");
 }
 
+/// At low speeds, lines settle only if waking ends with the braking that caused it.
+#[test]
+fn predictive_settles_and_amplifies_no_oscillation() {
+    let predictive = BuiltInController::from_name("predictive").unwrap();
+    for point in survey(predictive, &[4.0, 8.0]).points {
+        assert!(
+            point.gain.as_ref().is_ok_and(|gain| *gain < 1.0005),
+            "{point:?}"
+        );
+    }
+}
+
 /// The ranges of the speeds of leader and first vehicle, without a projection, give nearly the same gain.
 #[test]
-fn road_amplifies_more_than_idm() {
+fn idm_close_behind_amplifies_more() {
     let at = OperatingPoint {
         mean_speed_mps: 8.0,
-        frequency_rad_per_s: 0.2,
+        frequency_rad_per_s: 0.3,
     };
+    let close = "idm,time_headway_s=0.4";
     let gain = |name: &str| {
-        let controller = BuiltInController::from_name(name).unwrap().into_source();
+        let controller = BuiltInController::parse(name)
+            .unwrap()
+            .unwrap()
+            .into_source();
         LineRuns::new(&controller).measure(&[at]).unwrap()[0]
             .gain
             .clone()
@@ -130,19 +146,22 @@ fn road_amplifies_more_than_idm() {
     let line = FollowingLine {
         mean_speed_mps: 8.0,
         closing_mps: 0.0,
-        gaps_m: vec![14.8; 3],
+        gaps_m: vec![5.2; 3],
     };
     let oscillation = SpeedOscillation {
         amplitude_mps: 0.3,
-        frequency_rad_per_s: 0.2,
+        frequency_rad_per_s: 0.3,
         build_up_s: 100.0,
     };
     let scenario = line.scenario(Some(oscillation), 40_000).unwrap();
-    let road = RunOptions::new(BuiltInController::from_name("road").unwrap())
+    let options = RunOptions::new(BuiltInController::parse(close).unwrap().unwrap())
         .with_estimator(EstimatorKind::Truth);
-    let trace = simulate(&Run::new(&scenario, road).unwrap(), RecordingLevel::Trace)
-        .trace
-        .unwrap();
+    let trace = simulate(
+        &Run::new(&scenario, options).unwrap(),
+        RecordingLevel::Trace,
+    )
+    .trace
+    .unwrap();
     let range_mps = |vehicle: usize| {
         let speeds_mps = trace.vehicles[vehicle].speed_mps[30_000..].iter().copied();
         speeds_mps.clone().fold(0.0, f64::max) - speeds_mps.fold(f64::INFINITY, f64::min)
@@ -152,11 +171,11 @@ fn road_amplifies_more_than_idm() {
         .into_iter()
         .fold(0.0, f64::max);
     assert!(
-        (gain("road") - largest).abs() < 0.02,
+        (gain(close) - largest).abs() < 0.02,
         "{} {largest}",
-        gain("road")
+        gain(close)
     );
-    assert!(gain("road") > gain("idm") + 0.05);
+    assert!(gain(close) > gain("idm") + 0.05);
 }
 
 /// A line of five vehicles: the growth of a single oscillation from the leader to the last one, with sensors.

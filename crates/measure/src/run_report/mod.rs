@@ -9,7 +9,9 @@ use serde::Serialize;
 pub use lane_changes::LaneChanges;
 pub use specification_result::{PartReport, SpecificationResult};
 
+use super::level::LevelMeasures;
 use super::usefulness::{UnnecessaryBraking, UsefulnessMeasures};
+use crumple_sim::control::{FollowerClass, ShieldKind, TwoSidedSettings};
 use crumple_sim::engine::{
     Impact, Intervention, NamedController, Outcome, Run, SimulationResult, VehicleSummary,
 };
@@ -54,9 +56,18 @@ pub struct RunReport<'a> {
     /// One entry per vehicle under test; empty without a trace.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub unnecessary_braking: Vec<UnnecessaryBrakingReport>,
-    /// Vehicles under test that are far slower than their leader at the end; empty without a trace.
+    /// Vehicles under test that fell behind their leader; empty without a trace.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fell_behind: Vec<usize>,
+    /// Levels of the vehicles under test, if they were requested.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<LevelMeasures>,
+    /// Vehicles under test without a level, if levels were requested.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub missing_levels: Vec<MissingLevel>,
+    /// True if the controller is behind a two-sided shield.
+    #[serde(skip)]
+    pub has_two_sided_shield: bool,
     /// Results of the specifications.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub specifications: Vec<SpecificationResult>,
@@ -72,24 +83,58 @@ pub struct UnnecessaryBrakingReport {
     pub braking: UnnecessaryBraking,
 }
 
+/// Reason why a vehicle has no level.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MissingLevel {
+    /// Index of the vehicle, from the front.
+    pub vehicle: usize,
+    /// Reason in words.
+    pub reason: String,
+}
+
+/// Description of a controller in a report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ReportedController<'a> {
+    /// Name of the controller.
+    pub name: &'a str,
+    /// True unless the controller declares that it is not deterministic.
+    pub is_deterministic: bool,
+    /// True behind a two-sided shield.
+    pub has_two_sided_shield: bool,
+}
+
+impl<'a> From<&'a NamedController> for ReportedController<'a> {
+    fn from(controller: &'a NamedController) -> Self {
+        Self {
+            name: &controller.name,
+            is_deterministic: controller.source.is_deterministic(),
+            has_two_sided_shield: matches!(
+                controller.source.as_shield().map(|shield| &shield.settings),
+                Some(ShieldKind::BothSides(_))
+            ),
+        }
+    }
+}
+
 impl<'a> RunReport<'a> {
     /// Creates the report of a run's result, without specifications. `controller` is that of the run.
     #[must_use]
     pub fn new(
         run: &'a Run,
-        controller: &'a NamedController,
+        controller: impl Into<ReportedController<'a>>,
         result: &'a SimulationResult,
     ) -> Self {
+        let controller = controller.into();
         let scenario = run.scenario();
         Self {
             scenario: &scenario.spec().name,
             simulated_scenario: scenario,
-            controller: &controller.name,
+            controller: controller.name,
             estimator: run.options().estimator.name(),
             dt_s: run.dt_s(),
             seed: scenario.spec().seed,
             plant: None,
-            nondeterministic: !controller.source.is_deterministic(),
+            nondeterministic: !controller.is_deterministic,
             outcome: result.outcome.clone(),
             vehicles: &result.vehicles,
             impacts: &result.impacts,
@@ -98,8 +143,35 @@ impl<'a> RunReport<'a> {
             interventions: &result.interventions,
             unnecessary_braking: unnecessary_braking(scenario, result),
             fell_behind: fell_behind(scenario, result),
+            levels: Vec::new(),
+            missing_levels: Vec::new(),
+            has_two_sided_shield: controller.has_two_sided_shield,
             specifications: Vec::new(),
         }
+    }
+
+    /// Adds the levels of the vehicles under test; none without a trace. `describe_followers` states a class in words.
+    #[must_use]
+    pub fn with_levels(
+        mut self,
+        run: &Run,
+        result: &SimulationResult,
+        settings: &TwoSidedSettings,
+        describe_followers: fn(&FollowerClass) -> String,
+    ) -> Self {
+        for (vehicle, level) in LevelMeasures::of_vehicles_under_test(run, result, settings) {
+            match level {
+                Ok(level) => {
+                    self.levels
+                        .push(level.with_class(run, settings, describe_followers));
+                }
+                Err(reason) => self.missing_levels.push(MissingLevel {
+                    vehicle,
+                    reason: reason.to_string(),
+                }),
+            }
+        }
+        self
     }
 
     /// States the plant that replaces that of the scenario.

@@ -6,7 +6,7 @@ use crate::specification::{Specification, SpecificationError};
 use crate::stl::FormulaPart;
 use crumple_core::non_finite;
 use crumple_sim::engine::{
-    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+    AfterCollision, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use crumple_sim::scenario::Scenario;
 
@@ -48,7 +48,7 @@ struct SharedRuns<'a> {
 
 struct SharedRun {
     recording_level: RecordingLevel,
-    after_contact: AfterContact,
+    after_collision: AfterCollision,
     run: Run,
     result: SimulationResult,
 }
@@ -103,14 +103,14 @@ impl SharedRuns<'_> {
     /// Returns the run that a specification needs; simulates it if there is none.
     fn find(&mut self, specification: &Specification) -> Result<&SharedRun, SpecificationError> {
         let recording_level = specification.recording_level();
-        let after_contact = specification.after_contact();
+        let after_collision = specification.after_collision();
         let existing = self.simulated.iter().position(|shared| {
-            shared.recording_level == recording_level && shared.after_contact == after_contact
+            shared.recording_level == recording_level && shared.after_collision == after_collision
         });
         let index = match existing {
             Some(index) => index,
             None => {
-                let run = self.simulate(recording_level, after_contact)?;
+                let run = self.simulate(recording_level, after_collision)?;
                 self.simulated.push(run);
                 self.simulated.len() - 1
             }
@@ -121,14 +121,14 @@ impl SharedRuns<'_> {
     fn simulate(
         &self,
         recording_level: RecordingLevel,
-        after_contact: AfterContact,
+        after_collision: AfterCollision,
     ) -> Result<SharedRun, SpecificationError> {
-        let options = self.options.clone().with_after_contact(after_contact);
+        let options = self.options.clone().with_after_collision(after_collision);
         let run = Run::new(self.scenario, options)?;
         let result = simulate(&run, recording_level);
         Ok(SharedRun {
             recording_level,
-            after_contact,
+            after_collision,
             run,
             result,
         })

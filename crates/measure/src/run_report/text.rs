@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use super::{RunReport, SpecificationResult, UnnecessaryBrakingReport};
+use crate::collision_role::CollisionRole;
 use crate::usefulness::BrakeInstant;
 use crumple_core::quoting::TerminalText;
-use crumple_sim::engine::{Contact, Impact, Intervention, Outcome, VehicleSummary};
+use crumple_sim::engine::{Collision, Impact, Intervention, Outcome, VehicleSummary};
 use crumple_sim::scenario::{Driver, VehicleSpec};
 
 const NONDETERMINISTIC: &str = "  the controller declares that it is not deterministic: another run may give another \
@@ -24,6 +25,17 @@ impl RunReport<'_> {
         lines.extend(self.lane_change_lines());
         lines.extend(self.braking_lines());
         lines.extend(self.describe_fell_behind().map(|line| format!("  {line}")));
+        for level in &self.levels {
+            lines.push(format!("  {}", level.describe()));
+            let followers = level.describe_followers();
+            lines.extend(followers.iter().map(|line| format!("  {line}")));
+        }
+        lines.extend(self.missing_levels.iter().map(|missing| {
+            format!(
+                "  vehicle {}: no level: {}",
+                missing.vehicle, missing.reason
+            )
+        }));
         lines.extend(self.specification_lines());
         lines.extend(self.shield_lines());
         lines.extend(self.vehicle_lines());
@@ -82,12 +94,25 @@ impl RunReport<'_> {
         let words = std::iter::once("COLLISION").chain(std::iter::repeat("then     "));
         let mut lines: Vec<_> = words
             .zip(self.impacts)
-            .map(|(word, impact)| format!("  {word} {}", describe_impact(impact)))
+            .map(|(word, impact)| {
+                let blame = self.describe_blame(&impact.collision);
+                format!("  {word} {}{blame}", describe_impact(impact))
+            })
             .collect();
         if self.impacts.len() > 1 {
             lines.push(format!("  {}", self.describe_involved()));
         }
         lines
+    }
+
+    /// Returns the reason why a collision blames no controller, after its description; empty if it may blame one.
+    fn describe_blame(&self, collision: &Collision) -> &'static str {
+        match CollisionRole::new(collision, self.simulated_scenario) {
+            CollisionRole::HitByRecording => {
+                "; the vehicle behind repeats recorded speeds, so no controller is to blame"
+            }
+            _ => "",
+        }
     }
 
     fn describe_involved(&self) -> String {
@@ -124,7 +149,13 @@ impl RunReport<'_> {
     }
 
     fn shield_lines(&self) -> impl Iterator<Item = String> {
-        (0..self.vehicles.len()).filter_map(|index| shield_line(self.interventions, index))
+        let outside = if self.has_two_sided_shield {
+            "the level of the state was lower than the one to keep"
+        } else {
+            "the state was outside the safety kernel"
+        };
+        (0..self.vehicles.len())
+            .filter_map(move |index| shield_line(self.interventions, index, outside))
     }
 
     fn vehicle_lines(&self) -> Vec<String> {
@@ -167,7 +198,8 @@ impl RunReport<'_> {
             return format!("CONTROLLER FAILED: {failed}");
         }
         if let Some(impact) = self.impacts.first() {
-            return format!("COLLISION {}", describe_contact(&impact.contact));
+            let blame = self.describe_blame(&impact.collision);
+            return format!("COLLISION {}{blame}", describe_collision(&impact.collision));
         }
         let gaps_m = self.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         match gaps_m.reduce(f64::min) {
@@ -203,20 +235,23 @@ impl SpecificationResult {
     }
 }
 
-fn describe_contact(contact: &Contact) -> String {
+fn describe_collision(collision: &Collision) -> String {
     format!(
         "at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-        contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+        collision.time_s,
+        collision.rear_vehicle,
+        collision.front_vehicle,
+        collision.impact_speed_mps
     )
 }
 
 fn describe_impact(impact: &Impact) -> String {
-    let contact = &impact.contact;
+    let collision = &impact.collision;
     format!(
         "{} ({:.1} against {:.1} m/s)",
-        describe_contact(contact),
-        contact.rear_speed_mps,
-        contact.front_speed_mps
+        describe_collision(collision),
+        collision.rear_speed_mps,
+        collision.front_speed_mps
     )
 }
 
@@ -237,8 +272,9 @@ fn two_decimals(value: Option<f64>) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.2}"))
 }
 
-/// Summarises the interventions of a vehicle's shield in one line; `None` without interventions.
-fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String> {
+/// Summarises the interventions of a vehicle's shield in one line, with a text for those outside its guarantee; `None`
+/// without interventions.
+fn shield_line(interventions: &[Intervention], vehicle: usize, outside: &str) -> Option<String> {
     let own: Vec<_> = interventions
         .iter()
         .filter(|intervention| intervention.vehicle == vehicle)
@@ -253,9 +289,9 @@ fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String>
         count => format!("{count} times"),
     };
     let outside = if own.iter().any(|intervention| intervention.outside_kernel) {
-        "; the state was outside the safety kernel"
+        format!("; {outside}")
     } else {
-        ""
+        String::new()
     };
     let conflicts = own
         .iter()

@@ -27,7 +27,7 @@ const LEAD_SIGNALS: [&str; 6] = [
 /// | `vi.gap_m`, `vi.closing_mps` | bumper gap to the leader, own speed minus leader speed |
 /// | `vi.ttc_s` | time to collision; +∞ where the gap does not close |
 /// | `vi.headway_s`, `vi.time_gap_s` | time headway, time gap; +∞ at standstill |
-/// | `vi.drac_mps2` | deceleration rate to avoid a crash; 0 where the gap does not close, +∞ in contact |
+/// | `vi.drac_mps2` | deceleration rate to avoid a crash; 0 where the gap does not close, +∞ in collision |
 ///
 /// Without a leader in the lane, gap and times are +∞, closing speed and deceleration 0.
 #[must_use]

@@ -36,8 +36,8 @@ pub(super) fn drive_steps<'a>(
     index: usize,
 ) -> Option<impl Iterator<Item = DriveStep> + use<'a>> {
     let track = trace.vehicles.get(index)?;
-    let contacts = impacts_of(impacts, index).map(|impact| impact.contact.time_s);
-    let until_s = contacts.fold(f64::INFINITY, f64::min) - TIME_TOLERANCE_S;
+    let collisions = impacts_of(impacts, index).map(|impact| impact.collision.time_s);
+    let until_s = collisions.fold(f64::INFINITY, f64::min) - TIME_TOLERANCE_S;
     let ahead = trace
         .leaders(index)
         .enumerate()

@@ -27,6 +27,11 @@ use crumple_sim::engine::{Impact, Trace};
 /// count.
 pub const MIN_MOVING_SPEED_MPS: f64 = 1.0;
 
+/// Distance that counts as falling far behind, in metres, plus [`FAR_BEHIND_S`] times the leader's speed.
+pub const FAR_BEHIND_M: f64 = 20.0;
+/// Time gap that counts as falling far behind, in seconds: twice the one up to which a vehicle follows.
+pub const FAR_BEHIND_S: f64 = 2.0 * MAX_FOLLOWING_TIME_GAP_S;
+
 /// Usability measures of a vehicle before its first impact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -45,7 +50,7 @@ pub struct UsefulnessMeasures {
     /// Root mean square of the change of acceleration within [`JERK_WINDOW_S`], divided by that time, in m/s³; `None`
     /// for a shorter drive.
     pub rms_jerk_mps3: Option<f64>,
-    /// Braking induced in the follower, until their contact; `None` for the last vehicle.
+    /// Braking induced in the follower, until their collision; `None` for the last vehicle.
     #[serde(alias = "imposed")]
     pub induced: Option<InducedBraking>,
 }
@@ -60,7 +65,8 @@ pub struct FollowingMeasures {
     pub mean_time_gap_s: Option<f64>,
     /// Standard deviation of the time gap while moving, in seconds.
     pub time_gap_deviation_s: Option<f64>,
-    /// True if the vehicle ended below half the speed of its moving leader.
+    /// True if the vehicle ended below half the speed of its moving leader, or farther behind it than it started and
+    /// than [`FAR_BEHIND_M`] plus [`FAR_BEHIND_S`] times the leader's speed.
     #[serde(alias = "left_behind")]
     pub fell_behind: bool,
 }
@@ -70,25 +76,36 @@ impl UsefulnessMeasures {
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let steps: Vec<DriveStep> = drive_steps(trace, impacts, index)?.collect();
+        Some(Self {
+            induced: InducedBraking::from_trace(trace, impacts, index),
+            ..Self::from_steps(index, &steps)
+        })
+    }
+
+    /// Computes the measures of vehicle `vehicle` from the steps of its drive, without braking induced in the follower.
+    #[must_use]
+    pub fn from_steps(vehicle: usize, steps: &[DriveStep]) -> Self {
         let squares = steps
             .iter()
             .map(|step| (step.acceleration_mps2.powi(2), step.duration_s));
-        Some(Self {
-            vehicle: index,
+        Self {
+            vehicle,
             unnecessary: UnnecessaryBraking::from_steps(steps.iter().copied()),
             hard: UnnecessaryBraking::hard_from_steps(steps.iter().copied()),
-            following: FollowingMeasures::from_steps(&steps),
+            following: FollowingMeasures::from_steps(steps),
             rms_acceleration_mps2: time_weighted_mean(squares).map(f64::sqrt),
-            rms_jerk_mps3: rms_jerk_mps3(&steps),
-            induced: InducedBraking::from_trace(trace, impacts, index),
-        })
+            rms_jerk_mps3: rms_jerk_mps3(steps),
+            induced: None,
+        }
     }
 }
 
 impl FollowingMeasures {
     fn from_steps(steps: &[DriveStep]) -> Option<Self> {
         let ahead = || steps.iter().filter_map(|step| Some((step, step.ahead?)));
+        let first_gap_m = ahead().next()?.1.gap_m;
         let last = ahead().next_back()?.1;
+        let far_m = first_gap_m.max(FAR_BEHIND_M + FAR_BEHIND_S * last.front_speed_mps);
         let mut own_m = 0.0;
         let mut ahead_m = 0.0;
         for (step, ahead) in ahead() {
@@ -113,7 +130,7 @@ impl FollowingMeasures {
             mean_time_gap_s,
             time_gap_deviation_s: variance_s2.map(f64::sqrt),
             fell_behind: last.front_speed_mps > MIN_MOVING_SPEED_MPS
-                && last.rear_speed_mps < 0.5 * last.front_speed_mps,
+                && (last.rear_speed_mps < 0.5 * last.front_speed_mps || last.gap_m > far_m),
         })
     }
 }
@@ -213,6 +230,15 @@ mod tests {
             (None, None, false)
         );
         assert!(following_of(steady(9.0, 20.0), steady(0.0, 9.0)).fell_behind);
+        // Behind a leader at 20 m/s the limit is 140 m. The gap grows by 1.5 m until the last step starts.
+        for (front_m, own_mps, fell_behind) in [
+            (143.0, 17.0, true),
+            (141.0, 17.0, false),
+            (203.0, 20.0, false),
+        ] {
+            let following = following_of(steady(front_m, 20.0), steady(0.0, own_mps));
+            assert_eq!(following.fell_behind, fell_behind, "{front_m} m");
+        }
     }
 
     #[test]

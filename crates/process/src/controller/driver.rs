@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use super::{ConnectedProcess, ProcessPool};
-use crate::protocol::{self, BatchDecisionRequest, DecisionRequest, ResetParams, ResetRequest};
+use crate::protocol::{
+    self, BatchDecisionRequest, Decision, DecisionRequest, ResetParams, ResetRequest,
+};
 use crumple_networks::{InputHistory, Mapping};
 use crumple_sim::control::{
     BatchQuery, Controller, ControllerFailure, DecisionTimer, Ego, ProcessProblem, decide_by_query,
@@ -29,6 +31,8 @@ pub(super) struct ProcessDriver {
     history: InputHistory<f64>,
     line_buffer: Vec<u8>,
     command_mps2: f64,
+    /// True if the process warned at its last decision.
+    is_warning: bool,
     /// Acceleration that was commanded in the last step in place of the answer, in m/s².
     replaced_mps2: Option<f64>,
 }
@@ -69,6 +73,7 @@ impl ProcessDriver {
             history: InputHistory::default(),
             line_buffer: Vec::new(),
             command_mps2: 0.0,
+            is_warning: false,
             replaced_mps2: None,
             pool,
         };
@@ -91,11 +96,13 @@ impl ProcessDriver {
         }
     }
 
-    fn ask(&mut self, process: &mut ConnectedProcess) -> Result<f64, ProcessProblem> {
+    /// Queries a process. The answer of the decision is an acceleration, in m/s².
+    fn ask(&mut self, process: &mut ConnectedProcess) -> Result<Decision, ProcessProblem> {
         let timeout = self.pool.answer_timeout();
         let inputs = self.inputs.as_slice();
-        let id = process.next_id();
-        let answer = if self.is_batch {
+        let expected = process.expect_reply();
+        let id = expected.id;
+        let decision = if self.is_batch {
             protocol::write_line(
                 &mut self.line_buffer,
                 &BatchDecisionRequest {
@@ -104,10 +111,10 @@ impl ProcessDriver {
                     inputs: vec![inputs],
                 },
             )?;
-            protocol::parse_decisions(process.program.query(&self.line_buffer, timeout)?, id, 1)?
-                .first()
-                .copied()
-                .unwrap_or(f64::NAN)
+            let line = process.program.query(&self.line_buffer, timeout)?;
+            let decisions = protocol::parse_decisions(line, expected, 1)?;
+            let first = decisions.first().copied();
+            first.ok_or(ProcessProblem::NotFinite)?
         } else {
             protocol::write_line(
                 &mut self.line_buffer,
@@ -117,9 +124,12 @@ impl ProcessDriver {
                     inputs,
                 },
             )?;
-            protocol::parse_decision(process.program.query(&self.line_buffer, timeout)?, id)?
+            protocol::parse_decision(process.program.query(&self.line_buffer, timeout)?, expected)?
         };
-        checked_acceleration_mps2(&self.pool.setup.mapping, answer)
+        Ok(Decision {
+            answer: checked_acceleration_mps2(&self.pool.setup.mapping, decision.answer)?,
+            ..decision
+        })
     }
 
     fn end_with_failure(
@@ -206,13 +216,14 @@ impl BatchQuery for ProcessDriver {
             None => return Err(self.end_with_failure(ProcessProblem::Closed, None)),
         };
         match self.ask(&mut first) {
-            Ok(answer_mps2) if self.is_batch => {
-                self.pool.release(first);
-                self.set_command(answer_mps2)
-            }
-            Ok(answer_mps2) => {
-                self.own_process = Some(first);
-                self.set_command(answer_mps2)
+            Ok(decision) => {
+                if self.is_batch {
+                    self.pool.release(first);
+                } else {
+                    self.own_process = Some(first);
+                }
+                self.is_warning = decision.warning;
+                self.set_command(decision.answer)
             }
             Err(problem) => Err(self.end_with_failure(problem, Some(first))),
         }
@@ -233,23 +244,23 @@ impl BatchQuery for ProcessDriver {
         let times_s: Vec<f64> = drivers.iter().map(|driver| driver.time_s).collect();
         let inputs = drivers.iter().map(|driver| driver.inputs.as_slice());
         let mut process = self.pool.acquire(&self.hello).ok()?;
+        let expected = process.expect_reply();
         let request = BatchDecisionRequest {
-            id: process.next_id(),
+            id: expected.id,
             times_s: &times_s,
             inputs: inputs.collect(),
         };
-        let id = request.id;
         let mut line = Vec::new();
         protocol::write_line(&mut line, &request).ok()?;
         let line = process
             .program
             .query(&line, self.pool.answer_timeout())
             .ok()?;
-        let answers = protocol::parse_decisions(line, id, drivers.len()).ok()?;
+        let decisions = protocol::parse_decisions(line, expected, drivers.len()).ok()?;
         let mapping = &self.pool.setup.mapping;
-        let accelerations_mps2 = answers
+        let accelerations_mps2 = decisions
             .into_iter()
-            .map(|answer| checked_acceleration_mps2(mapping, answer).ok())
+            .map(|decision| checked_acceleration_mps2(mapping, decision.answer).ok())
             .collect::<Option<Vec<_>>>()?;
         self.pool.release(process);
         Some(accelerations_mps2)
@@ -259,10 +270,13 @@ impl BatchQuery for ProcessDriver {
     fn set_command(&mut self, answer_mps2: f64) -> Result<(), ControllerFailure> {
         if let Some(mut second) = self.second_process.take() {
             match self.ask(&mut second) {
-                Ok(again_mps2) if again_mps2.to_bits() == answer_mps2.to_bits() => {
+                Ok(again) if again.answer.to_bits() == answer_mps2.to_bits() => {
                     self.second_process = Some(second)
                 }
-                Ok(second_mps2) => {
+                Ok(Decision {
+                    answer: second_mps2,
+                    ..
+                }) => {
                     let problem = ProcessProblem::Nondeterministic {
                         first_mps2: answer_mps2,
                         second_mps2,
@@ -290,6 +304,11 @@ impl Controller for ProcessDriver {
 
     fn record_command(&mut self, command_mps2: f64) {
         self.replaced_mps2 = Some(command_mps2);
+    }
+
+    /// Valid for a driver that is queried alone: queries of batches drop the warnings.
+    fn is_warning(&self) -> bool {
+        self.is_warning
     }
 
     fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {

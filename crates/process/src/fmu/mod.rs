@@ -18,6 +18,8 @@ pub struct FmuConfig {
     pub inputs: Option<Vec<InputMapping>>,
     /// Meaning of the answer.
     pub output: Option<OutputMapping>,
+    /// Output that is above 0.5 while the FMU warns of a collision.
+    pub warning: Option<String>,
     /// Start values of parameters; Booleans are 0 or 1.
     pub parameters: BTreeMap<String, f64>,
     /// Time between decisions, and step of the FMU, in seconds; default: the step of the scenario.

@@ -43,6 +43,11 @@ impl ProcessSetup {
                 .map(|input| format!("--input={}", input.variable)),
         );
         command.push(format!("--output={}", answer.name));
+        if let Some(name) = &wiring.warning {
+            let warning = real_output(description, name)
+                .map_err(|problem| InvalidMapping::new("warning", problem))?;
+            command.push(format!("--warning={}", warning.name));
+        }
         for (name, value) in &wiring.parameters {
             let value = parameter_value(description, name, *value)
                 .map_err(|problem| InvalidMapping::new(format!("parameters.{name}"), problem))?;
@@ -163,15 +168,19 @@ fn answer_variable<'d>(
         (None, [only]) => &only.name,
         (None, _) => DEFAULT_OUTPUT,
     };
-    find_variable(description, Causality::Output, name)
-        .and_then(|variable| match variable.kind {
-            VariableType::Real => Ok(variable),
-            kind => Err(format!(
-                "`{name}` is {}, and an acceleration is real",
-                kind.name()
-            )),
-        })
+    real_output(description, name)
         .map_err(|problem| InvalidMapping::new("output.variable", problem))
+}
+
+fn real_output<'d>(description: &'d ModelDescription, name: &str) -> Result<&'d Variable, String> {
+    let variable = find_variable(description, Causality::Output, name)?;
+    match variable.kind {
+        VariableType::Real => Ok(variable),
+        kind => Err(format!(
+            "`{name}` is {}, and crumple reads only real outputs",
+            kind.name()
+        )),
+    }
 }
 
 fn find_variable<'a>(

@@ -22,17 +22,17 @@ pub(super) const COLLIDING_ESCAPE: &str = "multi-body: collides";
 pub enum RoundedAvoidance {
     /// A replayed profile avoids a collision.
     Avoidable {
-        /// Largest smallest gap found between any two vehicles, in metres, rounded down.
-        min_gap_m: Rounded<2>,
+        /// Smallest gap of the escape between any two vehicles, the largest found, in metres, rounded down.
+        escape_min_gap_m: Rounded<2>,
         /// Upper bound of the smallest gap of any driver, in metres, rounded up.
         min_gap_bound_m: Option<Rounded<2>>,
         /// True if the checker has accepted a certificate of that bound.
         min_gap_bound_is_certified: bool,
         /// Time at which the follower's emergency brake fires on that profile, in seconds.
-        follower_brakes_s: Option<Rounded<2>>,
+        trigger_time_s: Option<Rounded<2>>,
         /// True if that profile has no collision with the multi-body plant either; absent if it cannot be run.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        survives_multi_body: Option<bool>,
+        escape_survives_multi_body: Option<bool>,
     },
     /// No driver avoids a collision; the checker has accepted the proof.
     Unavoidable,
@@ -55,11 +55,11 @@ impl RoundedAvoidance {
     ) -> Self {
         match verdict {
             AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
-                min_gap_m: Rounded::down(escape.min_gap_m),
+                escape_min_gap_m: Rounded::down(escape.min_gap_m),
                 min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
                 min_gap_bound_is_certified: bound_certificate.is_some(),
-                follower_brakes_s: escape.trigger_time_s().map(Rounded::new),
-                survives_multi_body: escape_survives(scenario, &escape.acceleration_mps2),
+                trigger_time_s: escape.trigger_time_s().map(Rounded::new),
+                escape_survives_multi_body: escape_survives(scenario, &escape.acceleration_mps2),
             },
             AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
             AvoidanceVerdict::Undecided(reason) => Self::Undecided {
@@ -73,9 +73,11 @@ impl RoundedAvoidance {
     /// escape within its grid.
     pub(super) fn regret_m(&self, case: &CaseResult) -> Option<Rounded<2>> {
         match self {
-            Self::Avoidable { min_gap_m, .. } if case.verdict.is_conclusive() => Some(
-                Rounded::new((min_gap_m.value() - case.min_gap_m?.value()).max(0.0)),
-            ),
+            Self::Avoidable {
+                escape_min_gap_m, ..
+            } if case.verdict.is_conclusive() => Some(Rounded::new(
+                (escape_min_gap_m.value() - case.min_gap_m?.value()).max(0.0),
+            )),
             _ => None,
         }
     }
@@ -83,13 +85,13 @@ impl RoundedAvoidance {
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Avoidable {
-                min_gap_m,
+                escape_min_gap_m,
                 min_gap_bound_m,
                 min_gap_bound_is_certified,
-                follower_brakes_s,
-                survives_multi_body,
+                trigger_time_s,
+                escape_survives_multi_body,
             } => {
-                let fires = follower_brakes_s
+                let fires = trigger_time_s
                     .map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
                 let by = if *min_gap_bound_is_certified {
                     "proved"
@@ -98,12 +100,12 @@ impl RoundedAvoidance {
                 };
                 let bound = min_gap_bound_m
                     .map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
-                let replay = survives_multi_body.map_or("", |survives| match survives {
+                let replay = escape_survives_multi_body.map_or("", |survives| match survives {
                     true => " With the multi-body plant, this escape has no collision either.",
                     false => " With the multi-body plant, this escape COLLIDES.",
                 });
                 format!(
-                    "Avoidable: smallest gap of the best escape found {min_gap_m} m{}{}.{replay}",
+                    "Avoidable: smallest gap of the best escape found {escape_min_gap_m} m{}{}.{replay}",
                     fires.unwrap_or_default(),
                     bound.unwrap_or_default()
                 )
@@ -120,13 +122,15 @@ impl RoundedAvoidance {
     pub(super) fn label(&self) -> String {
         match self {
             Self::Avoidable {
-                min_gap_m,
-                survives_multi_body: Some(false),
+                escape_min_gap_m,
+                escape_survives_multi_body: Some(false),
                 ..
             } => {
-                format!("{min_gap_m} m; {COLLIDING_ESCAPE}")
+                format!("{escape_min_gap_m} m; {COLLIDING_ESCAPE}")
             }
-            Self::Avoidable { min_gap_m, .. } => format!("{min_gap_m} m"),
+            Self::Avoidable {
+                escape_min_gap_m, ..
+            } => format!("{escape_min_gap_m} m"),
             Self::Unavoidable => "unavoidable".to_owned(),
             Self::Undecided { .. } => "undecided".to_owned(),
         }

@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 use super::Rounded;
 use super::controller_arg::controller_arg;
 use super::table::CellMark;
-use crumple_measure::{ContactRole, Measures};
+use crumple_measure::{CollisionRole, LevelMeasures, Measures};
+use crumple_sim::control::TwoSidedSettings;
 use crumple_sim::engine::{
-    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, NamedController,
+    AfterCollision, Collision, FailedController, FailedControllerRuns, Impact, NamedController,
     RecordingLevel, Run, RunError, RunOptions, SimulationResult, Trace, simulate_batch,
 };
 use crumple_sim::observation::EstimatorKind;
@@ -37,6 +38,11 @@ pub struct CaseResult {
     pub peak_jerk_mps3: Option<Rounded<1>>,
     /// Hardest deceleration of the follower of a vehicle under test, in m/s².
     pub induced_brake_mps2: Option<Rounded<2>>,
+    /// Level of a vehicle under test at the start, in m/s²: the hardest braking of the leader for which a plan avoids a
+    /// collision on both sides with a follower of the default class of two-sided shields. Absent with delay or lag.
+    pub start_level_mps2: Option<Rounded<2>>,
+    /// Minimum level of a vehicle under test until the first collision, in m/s².
+    pub min_level_mps2: Option<Rounded<2>>,
     /// Further collisions if all vehicles drive on after the first one.
     pub pile_up: Option<PileUp>,
     #[serde(skip)]
@@ -58,12 +64,15 @@ pub enum CaseVerdict {
         closing_ttc_s: Option<Rounded<1>>,
     },
     /// A vehicle under test hit its leader.
-    Hit(RoundedContact),
+    Hit(RoundedCollision),
     /// A vehicle that is not under test hit a vehicle under test from behind.
-    WasHit(RoundedContact),
+    WasHit(RoundedCollision),
+    /// A vehicle that repeats recorded speeds, and cannot react, hit a vehicle under test from behind. This is no
+    /// evidence about the controller.
+    HitByRecording(RoundedCollision),
     /// Two vehicles collided that are both not under test. This is no evidence about the controller.
     #[serde(alias = "others")]
-    OthersCollided(RoundedContact),
+    OthersCollided(RoundedCollision),
     /// The controller gave no usable answer, which ended the run.
     ControllerFailed {
         /// Time of the failure, in seconds.
@@ -82,7 +91,7 @@ pub const STILL_CLOSING_TTC_S: f64 = 30.0;
 /// A collision, with rounded numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct RoundedContact {
+pub struct RoundedCollision {
     /// Time of the collision, in seconds.
     pub time_s: Rounded<2>,
     /// Index of the vehicle that is hit.
@@ -145,7 +154,7 @@ impl CaseVerdict {
                 reason: failure.to_string(),
             };
         }
-        let Some(contact) = simulated.outcome.contact() else {
+        let Some(collision) = simulated.outcome.collision() else {
             let tested = (1..scenario.vehicles().len())
                 .filter(|&rear| scenario.is_under_test(rear) || scenario.is_under_test(rear - 1));
             let closing = tested.map(|rear| closing_ttc_s(simulated.trace.as_ref()?, rear));
@@ -153,10 +162,11 @@ impl CaseVerdict {
                 closing_ttc_s: smallest(closing).map(Rounded::new),
             };
         };
-        match ContactRole::new(contact, scenario) {
-            ContactRole::Hits => Self::Hit(contact.into()),
-            ContactRole::HitFromBehind => Self::WasHit(contact.into()),
-            ContactRole::Bystander => Self::OthersCollided(contact.into()),
+        match CollisionRole::new(collision, scenario) {
+            CollisionRole::Hits => Self::Hit(collision.into()),
+            CollisionRole::HitFromBehind => Self::WasHit(collision.into()),
+            CollisionRole::HitByRecording => Self::HitByRecording(collision.into()),
+            CollisionRole::Bystander => Self::OthersCollided(collision.into()),
         }
     }
 
@@ -177,21 +187,26 @@ impl CaseVerdict {
                 runs: 1,
                 reason: format!("at {time_s} s, {reason}"),
             }),
-            Self::Safe { .. } | Self::Hit(_) | Self::WasHit(_) | Self::OthersCollided(_) => None,
+            Self::Safe { .. }
+            | Self::Hit(_)
+            | Self::WasHit(_)
+            | Self::HitByRecording(_)
+            | Self::OthersCollided(_) => None,
         }
     }
 
-    /// True if the run is evidence about the controller: false if other vehicles collided first.
+    /// True if the run is evidence about the controller: false if other vehicles, or one that repeats recorded speeds,
+    /// collided first.
     #[must_use]
     pub fn is_conclusive(&self) -> bool {
-        !matches!(self, Self::OthersCollided(_))
+        !matches!(self, Self::HitByRecording(_) | Self::OthersCollided(_))
     }
 
     pub(super) fn mark(&self) -> CellMark {
         match self {
             Self::Safe { .. } => CellMark::Good,
             Self::Hit(_) | Self::WasHit(_) | Self::ControllerFailed { .. } => CellMark::Bad,
-            Self::OthersCollided(_) => CellMark::Neutral,
+            Self::HitByRecording(_) | Self::OthersCollided(_) => CellMark::Neutral,
         }
     }
 
@@ -203,13 +218,11 @@ impl CaseVerdict {
                 .map_or("no collision".to_owned(), |ttc_s| {
                     format!("no collision, but TTC {ttc_s} s at the end")
                 }),
-            Self::Hit(contact) => contact.describe_hit(),
-            Self::WasHit(contact) => format!(
-                "{} hit from behind by {} at {} s, {} m/s",
-                contact.front_vehicle,
-                contact.rear_vehicle,
-                contact.time_s,
-                contact.impact_speed_mps
+            Self::Hit(collision) => collision.describe_hit(),
+            Self::WasHit(collision) => collision.describe_hit_from_behind(),
+            Self::HitByRecording(collision) => format!(
+                "{} (recorded speeds, blames no controller)",
+                collision.describe_hit_from_behind()
             ),
             Self::ControllerFailed {
                 time_s,
@@ -218,8 +231,8 @@ impl CaseVerdict {
             } => {
                 format!("controller of {vehicle} failed at {time_s} s: {reason}")
             }
-            Self::OthersCollided(contact) => {
-                format!("other vehicles: {}", contact.describe_hit())
+            Self::OthersCollided(collision) => {
+                format!("other vehicles: {}", collision.describe_hit())
             }
         }
     }
@@ -234,22 +247,29 @@ fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
         .filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
 }
 
-impl RoundedContact {
+impl RoundedCollision {
     fn describe_hit(&self) -> String {
         format!(
             "{} hits {} at {} s, {} m/s",
             self.rear_vehicle, self.front_vehicle, self.time_s, self.impact_speed_mps
         )
     }
+
+    fn describe_hit_from_behind(&self) -> String {
+        format!(
+            "{} hit from behind by {} at {} s, {} m/s",
+            self.front_vehicle, self.rear_vehicle, self.time_s, self.impact_speed_mps
+        )
+    }
 }
 
-impl From<&Contact> for RoundedContact {
-    fn from(contact: &Contact) -> Self {
+impl From<&Collision> for RoundedCollision {
+    fn from(collision: &Collision) -> Self {
         Self {
-            time_s: contact.time_s.into(),
-            front_vehicle: contact.front_vehicle,
-            rear_vehicle: contact.rear_vehicle,
-            impact_speed_mps: contact.impact_speed_mps.into(),
+            time_s: collision.time_s.into(),
+            front_vehicle: collision.front_vehicle,
+            rear_vehicle: collision.rear_vehicle,
+            impact_speed_mps: collision.impact_speed_mps.into(),
         }
     }
 }
@@ -275,9 +295,14 @@ pub(super) fn run_cases(
                 .map(move |controller| (scenario, controller))
         })
         .collect();
-    let runs = prepare_runs(&pairs, estimator, AfterContact::Stop)?;
+    let runs = prepare_runs(&pairs, estimator, AfterCollision::Stop)?;
     let mut cases = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
+        let levels = measure_levels(&runs[index], &simulated);
         let mut case = CaseResult::new(pairs[index].0, pairs[index].1, simulated);
+        case.start_level_mps2 =
+            smallest(levels.iter().map(|level| Some(level.start_mps2))).map(Rounded::new);
+        case.min_level_mps2 =
+            smallest(levels.iter().map(|level| Some(level.min_mps2))).map(Rounded::new);
         if motion == MotionRetention::Drop {
             case.motion = None;
         }
@@ -287,7 +312,7 @@ pub(super) fn run_cases(
         .filter(|&index| !matches!(cases[index].verdict, CaseVerdict::Safe { .. }))
         .collect();
     let collided_pairs: Vec<_> = collided.iter().map(|&index| pairs[index]).collect();
-    let runs = prepare_runs(&collided_pairs, estimator, AfterContact::Continue)?;
+    let runs = prepare_runs(&collided_pairs, estimator, AfterCollision::Continue)?;
     let pile_ups = simulate_batch(&runs, RecordingLevel::Summary, |_, simulated| {
         PileUp::from_simulated(&simulated)
     });
@@ -304,14 +329,14 @@ pub(super) fn run_cases(
 fn prepare_runs(
     pairs: &[(&Scenario, &NamedController)],
     estimator: EstimatorKind,
-    after_contact: AfterContact,
+    after_collision: AfterCollision,
 ) -> Result<Vec<Run>, RunError> {
     pairs
         .iter()
         .map(|(scenario, controller)| {
             let options = RunOptions::new(controller.source.clone())
                 .with_estimator(estimator)
-                .with_after_contact(after_contact);
+                .with_after_collision(after_collision);
             Run::new(scenario, options)
         })
         .collect()
@@ -357,11 +382,21 @@ impl CaseResult {
                     .map(|m| m.induced.and_then(|induced| induced.peak_brake_mps2)),
             )
             .map(Rounded::new),
+            start_level_mps2: None,
+            min_level_mps2: None,
             pile_up: None,
             controller_arg: controller_arg(&*controller.source),
             motion: simulated.trace.map(|trace| (trace, simulated.impacts)),
         }
     }
+}
+
+/// Returns the levels of the vehicles under test that have one.
+fn measure_levels(run: &Run, simulated: &SimulationResult) -> Vec<LevelMeasures> {
+    LevelMeasures::of_vehicles_under_test(run, simulated, &TwoSidedSettings::default())
+        .into_iter()
+        .filter_map(|(_, level)| level.ok())
+        .collect()
 }
 
 fn measure_vehicle(simulated: &SimulationResult, index: usize) -> Option<Measures> {

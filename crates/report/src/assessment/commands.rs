@@ -18,6 +18,7 @@ use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::file;
+use crumple_spaces::file as space_file;
 
 /// A command line of crumple: its arguments, and its text quoted for a shell.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,9 +102,10 @@ impl AssessmentPlan {
         let mut files = self.policy_files()?;
         files.extend(self.network_files()?);
         files.extend(self.process_files()?);
-        files.extend(self.space_files());
+        files.extend(self.space_files()?);
         files.extend(self.certificate_policy_files());
         files.extend(self.scenario_files()?);
+        files.extend(self.suite_files()?);
         let mut paths = BTreeSet::new();
         files.retain(|file| paths.insert(file.file.clone()));
         Ok(files)
@@ -165,15 +167,19 @@ impl AssessmentPlan {
         Ok(files)
     }
 
-    fn space_files(&self) -> impl Iterator<Item = CommandFile> {
-        self.rate_spaces
-            .iter()
-            .chain(&self.search_spaces)
+    /// Returns the spaces that are not built in, with the present names of fields.
+    fn space_files(&self) -> Result<Vec<CommandFile>, CacheError> {
+        let spaces = self.rate_spaces.iter().chain(&self.search_spaces);
+        spaces
             .filter(|named| !named.is_built_in())
-            .map(|named| CommandFile {
-                file: named.path(),
-                contents: named.text.clone().into_bytes(),
+            .map(|named| {
+                let text = space_file::to_toml(&named.space).map_err(CacheError::encoding)?;
+                Ok(CommandFile {
+                    file: named.path(),
+                    contents: text.into_bytes(),
+                })
             })
+            .collect()
     }
 
     /// Returns the policies of certificates. A certificate may name any file, and the checker looks for one of that

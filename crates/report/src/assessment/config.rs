@@ -4,10 +4,14 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::gate::AssessmentGate;
+use super::AssessmentGate;
+use super::gate::GateConfig;
+use super::gate_rules::gate_comments;
 use super::planned_suite::SuiteConfig;
 use crumple_controllers::Controllers;
 use crumple_core::text_file::FileError;
+use crumple_evidence::drives::DriveSetError;
+use crumple_sim::engine::AfterCollision;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::file::ScenarioFileError;
 
@@ -61,6 +65,10 @@ pub struct AssessConfig {
     /// `crumple import`. Default none.
     #[serde(default)]
     pub recordings: Vec<PathBuf>,
+    /// Folder of recorded drives, as `crumple import --whole` writes it, relative to the configuration file. Each
+    /// controller drives each of them once. Default none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drives: Option<PathBuf>,
     /// Suites of tests that are modelled on regulations. Default none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suites: Vec<SuiteConfig>,
@@ -80,7 +88,8 @@ pub struct AssessConfig {
     pub certificates: Option<Vec<PathBuf>>,
     /// Conditions of the assessment; `crumple assess` ends with exit code 1 if one does not hold. Default none.
     #[serde(default)]
-    pub gates: Vec<AssessmentGate>,
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<AssessmentGate>"))]
+    pub gates: Vec<GateConfig>,
     /// Opens the controllers that scenarios, spaces and suites name as files; not part of the file.
     #[serde(skip)]
     pub controllers_of_files: Controllers,
@@ -141,10 +150,49 @@ pub struct HarmConfig {
     /// Random scenarios of each space for which crumple decides whether a collision is avoidable. Default 0.
     #[serde(default)]
     pub avoid_draws: u64,
+    /// Motion of a vehicle under test, or of another vehicle with a controller, after it has hit its leader: `hold` or
+    /// `coast`. Default `hold`.
+    #[serde(default)]
+    pub after_collision: BrakeAfterCollision,
+}
+
+/// Brake of a vehicle that has hit its leader.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum BrakeAfterCollision {
+    /// Brakes at 6 m/s² to standstill.
+    #[default]
+    Hold,
+    /// Neither brakes nor accelerates.
+    Coast,
+}
+
+impl From<BrakeAfterCollision> for AfterCollision {
+    fn from(brake: BrakeAfterCollision) -> Self {
+        match brake {
+            BrakeAfterCollision::Hold => Self::Hold,
+            BrakeAfterCollision::Coast => Self::Coast,
+        }
+    }
 }
 
 /// The built-in spaces of everyday traffic and of dangerous scenarios.
 pub(super) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
+
+/// Line of the built-in configuration in whose place the gates are listed.
+const GATES_LINE: &str = "#   GATES\n";
+
+/// Returns the built-in configuration as a file, with a comment for each field, and a list of all gates.
+#[must_use]
+pub fn default_configuration() -> String {
+    include_str!("built_in/assessment.toml").replace(GATES_LINE, &gate_comments())
+}
+
+/// Controller with which an own controller is compared.
+const REFERENCE: &str = "idm";
+/// Controller with which that one is compared.
+const OTHER_REFERENCE: &str = "baseline";
 
 /// Controllers of the built-in report, the baseline first.
 const COMPARED: [&str; 7] = [
@@ -183,6 +231,23 @@ impl AssessConfig {
         })
     }
 
+    /// Returns the built-in configuration for an own controller, in the place of `road`: it is compared with `idm`, or,
+    /// if it is `idm`, with `baseline`. The controller itself is not among `controllers`, because
+    /// [`AssessmentPlan::new`](super::AssessmentPlan::new) adds it.
+    #[must_use]
+    pub fn for_own_controller(name: &str) -> Self {
+        let reference = if name == REFERENCE {
+            OTHER_REFERENCE
+        } else {
+            REFERENCE
+        };
+        Self {
+            controllers: vec![reference.to_owned()],
+            gates: default_gates(name, reference),
+            ..Self::default()
+        }
+    }
+
     /// Returns the names of the scenario spaces that are searched for failures.
     #[must_use]
     pub fn search_spaces(&self) -> Vec<String> {
@@ -207,25 +272,33 @@ impl Default for AssessConfig {
             seed: 0,
             scenarios: Vec::new(),
             recordings: Vec::new(),
+            drives: None,
             suites: Vec::new(),
             search: SearchConfig::default(),
             rates: RatesConfig::default(),
             harm: None,
             certificates: None,
-            gates: vec![
-                AssessmentGate::NoCollisionInPaperScenarios {
-                    controller: "road".to_owned(),
-                },
-                AssessmentGate::RateNotAbove {
-                    controller: "road".to_owned(),
-                    than: "baseline".to_owned(),
-                    space: None,
-                },
-                AssessmentGate::ProofsAccepted {},
-            ],
+            gates: default_gates("road", OTHER_REFERENCE),
             controllers_of_files: Controllers::default(),
         }
     }
+}
+
+/// Returns the gates of the built-in configuration for a controller and the one that it is compared with.
+fn default_gates(controller: &str, than: &str) -> Vec<GateConfig> {
+    [
+        AssessmentGate::NoCollisionInPaperScenarios {
+            controller: controller.to_owned(),
+        },
+        AssessmentGate::RateNotAbove {
+            controller: controller.to_owned(),
+            than: than.to_owned(),
+            space: None,
+        },
+        AssessmentGate::ProofsAccepted {},
+    ]
+    .map(GateConfig::from)
+    .into()
 }
 
 /// An error of a configuration.
@@ -238,6 +311,9 @@ pub enum AssessConfigError {
     /// A scenario file that the configuration names cannot be read.
     #[error(transparent)]
     Scenario(#[from] ScenarioFileError),
+    /// A folder that holds no recorded drives.
+    #[error("drives: {0}")]
+    Drives(#[from] DriveSetError),
     /// A field is out of range.
     #[error("{}:{line}: {field}: {problem}", path.display())]
     Field {

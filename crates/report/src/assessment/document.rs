@@ -43,7 +43,7 @@ impl ReportDocument {
     }
 
     pub(super) fn figure(&mut self, figure: impl Render) {
-        self.push(ReportBlock::Figure(html! { (figure) }));
+        self.push(ReportBlock::Figure(html! { (figure) }, None));
     }
 
     /// Writes blocks that HTML shows on demand, below a summary.
@@ -52,12 +52,9 @@ impl ReportDocument {
         self.push(ReportBlock::Collapsible(summary.into(), content));
     }
 
-    pub(super) fn html_only(&mut self, content: impl Into<Self>) {
-        self.push(ReportBlock::HtmlOnly(content.into().blocks));
-    }
-
-    pub(super) fn markdown_only(&mut self, content: impl Into<Self>) {
-        self.push(ReportBlock::MarkdownOnly(content.into().blocks));
+    /// Writes blocks below a heading.
+    pub(super) fn titled(&mut self, title: impl Into<String>, content: impl Into<Self>) {
+        self.push(ReportBlock::Titled(title.into(), content.into().blocks));
     }
 
     pub(super) fn to_html(&self) -> Markup {

@@ -5,8 +5,10 @@ use std::collections::BTreeSet;
 use crumple_sim::scenario::Scenario;
 
 /// Returns the names of the drivers directly behind vehicles under test, in alphabetical order.
-pub(super) fn follower_drivers(scenarios: &[Scenario]) -> BTreeSet<String> {
-    scenarios.iter().flat_map(drivers_behind).collect()
+pub(super) fn follower_drivers<'s>(
+    scenarios: impl IntoIterator<Item = &'s Scenario>,
+) -> BTreeSet<String> {
+    scenarios.into_iter().flat_map(drivers_behind).collect()
 }
 
 fn drivers_behind(scenario: &Scenario) -> impl Iterator<Item = String> {

@@ -1,89 +1,107 @@
-//! Gates: the conditions of an assessment to pass, as a configuration states them.
+//! Gates as a configuration states them, each with the requirements that it verifies.
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
 
-/// A condition that must hold for an assessment to pass.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(tag = "require", rename_all = "kebab-case", deny_unknown_fields)]
-#[non_exhaustive]
-pub enum AssessmentGate {
-    /// A controller collides in none of the paper's scenarios. Before 0.4.0: `no-contact-in-paper-scenarios`.
-    #[serde(alias = "no-contact-in-paper-scenarios")]
-    NoCollisionInPaperScenarios {
-        /// Name of the controller.
-        controller: String,
-    },
-    /// A controller collides in none of the scenarios of `scenarios` and `recordings`; spaces are not considered.
-    NoCollisionInScenarioFiles {
-        /// Name of the controller.
-        controller: String,
-    },
-    /// A controller collides in none of the simulated random scenarios of a space. Scenarios that a collision of other
-    /// vehicles ends count against it.
-    NoCollisionInSpace {
-        /// Name of the controller.
-        controller: String,
-        /// Scenario space: one of `distributions`, or `traffic` or `high-risk` if `everyday_draws` is above 0.
-        space: String,
-    },
-    /// The failure rate of a controller in a scenario space is at most this, by bounds on counted runs.
-    RateAtMost {
-        /// Name of the controller.
-        controller: String,
-        /// Largest bound that passes, in percent.
-        percent: f64,
-        /// Scenario space, one of `distributions`. Default: the only one there is.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        space: Option<String>,
-    },
-    /// A controller collides in no more random scenarios of a space than another one.
-    RateNotAbove {
-        /// Name of the controller.
-        controller: String,
-        /// Name of the other controller.
-        than: String,
-        /// Scenario space, one of `distributions`. Default: the only one there is.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        space: Option<String>,
-    },
-    /// No search found a failure of a controller that is avoidable or undecided.
-    NoAvoidableFailure {
-        /// Name of the controller.
-        controller: String,
-        /// Scenario space of the search.
-        space: String,
-    },
-    /// A controller brakes unnecessarily in at most this share of its drives in everyday traffic.
-    #[serde(alias = "needless-braking-at-most")]
-    UnnecessaryBrakingAtMost {
-        /// Name of the controller.
-        controller: String,
-        /// Largest share that passes, in percent.
-        percent: f64,
-    },
-    /// A controller falls behind in at most this share of its drives in everyday traffic.
-    LeftBehindAtMost {
-        /// Name of the controller.
-        controller: String,
-        /// Largest share that passes, in percent.
-        percent: f64,
-    },
-    /// No speed oscillation grows from vehicle to vehicle in a line with a controller: the largest gain over all mean
-    /// speeds and frequencies, rounded to three decimals, is at most 1.000. Before 0.4.0: in a single manoeuvre.
-    StringStable {
-        /// Name of the controller.
-        controller: String,
-    },
-    /// A controller passes every test of a suite that can be run.
-    SuitePassed {
-        /// Name of the controller.
-        controller: String,
-        /// Suite, as `suites` names it.
-        suite: String,
-    },
-    /// The checker accepts every certificate.
-    ProofsAccepted {},
-    /// The assessment is compared with an earlier one, and no result is worse.
-    NothingWorse {},
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{DeserializeSeed, Error, IntoDeserializer, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::AssessmentGate;
+use crumple_core::requirement::check_requirements;
+
+/// A gate of a configuration, and the requirements that it verifies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GateConfig {
+    /// Condition.
+    #[serde(flatten)]
+    pub gate: AssessmentGate,
+    /// Names of the requirements, for example those of a requirements tool. The field of the file is `requirement`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub requirement: Vec<String>,
+}
+
+impl From<AssessmentGate> for GateConfig {
+    fn from(gate: AssessmentGate) -> Self {
+        Self {
+            gate,
+            requirement: Vec::new(),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for GateConfig {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(GateVisitor)
+    }
+}
+
+/// Reads the fields of a gate one by one, so that an error has the line of its field.
+struct GateVisitor;
+
+impl<'de> Visitor<'de> for GateVisitor {
+    type Value = GateConfig;
+
+    fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("a gate: a table of `require` and its fields")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, fields: A) -> Result<GateConfig, A::Error> {
+        let mut requirement = Vec::new();
+        let fields = WithoutRequirement {
+            fields,
+            requirement: &mut requirement,
+        };
+        let gate = AssessmentGate::deserialize(MapAccessDeserializer::new(fields))?;
+        Ok(GateConfig { gate, requirement })
+    }
+}
+
+/// The fields of a gate other than `requirement`, which it keeps.
+struct WithoutRequirement<'a, A> {
+    fields: A,
+    requirement: &'a mut Vec<String>,
+}
+
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for WithoutRequirement<'_, A> {
+    type Error = A::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(
+        &mut self,
+        seed: K,
+    ) -> Result<Option<K::Value>, A::Error> {
+        while let Some(key) = self.fields.next_key::<String>()? {
+            if key != "requirement" {
+                return seed.deserialize(key.into_deserializer()).map(Some);
+            }
+            let RequirementNames(names) = self.fields.next_value()?;
+            *self.requirement = names;
+        }
+        Ok(None)
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
+        self.fields.next_value_seed(seed)
+    }
+}
+
+/// Checked names of requirements.
+struct RequirementNames(Vec<String>);
+
+impl<'de> Deserialize<'de> for RequirementNames {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let names = Vec::<String>::deserialize(deserializer)?;
+        check_requirements(&names).map_err(D::Error::custom)?;
+        Ok(Self(names))
+    }
+}
+
+/// Adds the field `requirement` to the schema of each gate.
+#[cfg(feature = "schema")]
+pub(super) fn add_requirement_to_schema(schema: &mut schemars::Schema) {
+    let field = serde_json::json!({
+        "description": "Names of the requirements that the gate verifies. Default none.",
+        "type": "array",
+        "items": { "type": "string" },
+    });
+    super::tagged_schema::add_field(schema, "requirement", &field);
 }

@@ -1,42 +1,187 @@
-//! Gates in JUnit format, for build servers.
+//! Gates, claims about the subject and tests of suites in JUnit format, for build servers and requirements tools.
 
-use super::{AssessmentReport, GateResult};
+use super::claims::{ClaimStatus, Domain, StrengthLevel};
+use super::parts::{SuiteFindings, SuiteOutcome, SuiteTest};
+use super::{AssessmentReport, AssuranceClaim, ClaimRow, GateResult};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 
-/// Renders gates as test cases, and claims about controllers as properties.
+/// Renders gates, claims about the subject and tests of suites as test cases. The claims about other controllers are
+/// properties.
 pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
-    let mut gates = JunitSuite {
-        name: "gates".to_owned(),
-        ..JunitSuite::default()
-    };
-    gates.cases = assessment.summary.gates.iter().map(gate_case).collect();
-    for row in &assessment.summary.claims {
-        let claims = row
-            .claims
-            .iter()
-            .zip(&row.statuses)
-            .filter(|(claim, _)| claim.is_some());
-        for (claim, status) in claims {
-            let controller = claim
-                .as_ref()
-                .map_or("", |claim| claim.subject.controller.name.as_str());
-            gates
-                .properties
-                .push((format!("{controller}: {}", row.claim), status.describe()));
-        }
+    let gates = assessment.summary.gates.iter();
+    let mut suites = vec![
+        JunitSuite {
+            name: "gates".to_owned(),
+            cases: gates.map(|gate| assessment.gate_case(gate)).collect(),
+            ..assessment.empty_junit_suite()
+        },
+        assessment.claims_suite(),
+    ];
+    let findings = assessment.results.suites.iter();
+    for findings in findings.flat_map(|suites| &suites.suites) {
+        suites.push(JunitSuite {
+            name: findings.suite.name.clone(),
+            cases: suite_cases(findings),
+            ..assessment.empty_junit_suite()
+        });
     }
-    junit::render_xml("crumple assess", &[gates])
+    junit::render_xml(&assessment.identity.one_line(), &suites)
 }
 
-fn gate_case(gate: &GateResult) -> JunitCase {
-    JunitCase {
-        name: gate.gate.to_string(),
-        status: if gate.holds {
-            JunitStatus::Passed
-        } else {
-            JunitStatus::Failed
-        },
-        message: (!gate.holds).then(|| gate.reason.clone()),
-        output: gate.reason.clone(),
+impl AssessmentReport {
+    /// Returns a suite without cases, with the identity of the report as its properties.
+    fn empty_junit_suite(&self) -> JunitSuite {
+        let rows = self.identity.rows().into_iter();
+        JunitSuite {
+            timestamp: self.identity.date.clone(),
+            time_s: self.provenance.run_info.as_ref().map(|run| run.duration_s),
+            properties: rows.map(|(name, value)| (name.to_owned(), value)).collect(),
+            ..JunitSuite::default()
+        }
+    }
+
+    fn claims_suite(&self) -> JunitSuite {
+        let mut suite = JunitSuite {
+            name: "claims".to_owned(),
+            ..self.empty_junit_suite()
+        };
+        for row in &self.summary.claims {
+            for (claim, status) in row.claims.iter().zip(&row.statuses) {
+                let Some(claim) = claim else {
+                    continue;
+                };
+                let controller = &claim.subject.controller.name;
+                if *controller == self.identity.subject {
+                    suite.cases.push(self.claim_case(row, claim, status));
+                } else {
+                    let name = format!("{controller}: {}", row.claim);
+                    suite.properties.push((name, status.describe()));
+                }
+            }
+        }
+        suite
+    }
+
+    fn claim_case(
+        &self,
+        row: &ClaimRow,
+        claim: &AssuranceClaim,
+        status: &ClaimStatus,
+    ) -> JunitCase {
+        let description = status.describe();
+        let junit_status = match status.strength.level() {
+            StrengthLevel::Proved | StrengthLevel::Bounded | StrengthLevel::Tested => {
+                JunitStatus::Passed
+            }
+            StrengthLevel::Refuted => JunitStatus::Failed,
+            StrengthLevel::NotShown | StrengthLevel::NotExamined => JunitStatus::Skipped,
+        };
+        let is_failure = junit_status == JunitStatus::Failed;
+        JunitCase {
+            class: format!("crumple.claims.{}", claim.subject.controller.name),
+            name: row.claim.clone(),
+            file: is_failure.then(|| self.failing_scenario(claim)).flatten(),
+            verifier: row.claim.clone(),
+            requirements: Vec::new(),
+            status: junit_status,
+            message: (junit_status != JunitStatus::Passed).then(|| description.clone()),
+            output: description,
+        }
+    }
+
+    fn gate_case(&self, gate: &GateResult) -> JunitCase {
+        let file = (!gate.holds).then(|| self.scenario_against(gate)).flatten();
+        JunitCase {
+            class: "crumple.gates".to_owned(),
+            name: gate.gate.clone(),
+            file,
+            verifier: gate.gate.clone(),
+            requirements: gate.requirement.clone(),
+            status: if gate.holds {
+                JunitStatus::Passed
+            } else {
+                JunitStatus::Failed
+            },
+            message: (!gate.holds).then(|| gate.reason.clone()),
+            output: gate.reason.clone(),
+        }
+    }
+
+    /// Returns the file of a scenario that fails against the claim of a gate, if the report has one.
+    fn scenario_against(&self, gate: &GateResult) -> Option<String> {
+        let named = gate.indicator.claim.as_ref()?;
+        let mut claims = self
+            .summary
+            .claims
+            .iter()
+            .flat_map(|row| row.claims.iter().flatten().map(move |claim| (row, claim)));
+        let (_, claim) = claims.find(|(row, claim)| {
+            let controller = &claim.subject.controller.name;
+            *named == format!("{controller}: {}", row.claim)
+        })?;
+        self.failing_scenario(claim)
+    }
+
+    /// Returns the file of the first scenario that fails against a claim, if the report has one.
+    fn failing_scenario(&self, claim: &AssuranceClaim) -> Option<String> {
+        let controller = &claim.subject.controller.name;
+        match &claim.domain {
+            Domain::Search { space, .. } | Domain::Space { space } => {
+                let mut spaces = self.results.searches.spaces.iter();
+                let searches = spaces.find(|searches| searches.content_id == *space)?;
+                let failure = searches.find(controller)?.failures.first()?;
+                Some(failure.file.clone())
+            }
+            Domain::Suite { suite } => {
+                let suites = self.results.suites.as_ref()?;
+                let findings = suites.suites.iter().find(|other| other.suite == *suite)?;
+                let mut outcomes = findings.outcomes_of(controller);
+                outcomes.find_map(|(_, outcome)| Some(outcome.worst.as_ref()?.file.clone()))
+            }
+            Domain::Scenarios { all, .. } => {
+                let files = self.results.file_scenarios.as_ref()?;
+                files.failing_file(controller, all)
+            }
+            _ => None,
+        }
     }
 }
+
+/// Returns a case for each test and each of its controllers.
+fn suite_cases(findings: &SuiteFindings) -> Vec<JunitCase> {
+    let controllers = findings.controllers.iter();
+    controllers
+        .flat_map(|controller| {
+            findings
+                .outcomes_of(controller)
+                .map(move |(test, outcome)| suite_case(findings, controller, test, outcome))
+        })
+        .collect()
+}
+
+fn suite_case(
+    findings: &SuiteFindings,
+    controller: &str,
+    test: &SuiteTest,
+    outcome: &SuiteOutcome,
+) -> JunitCase {
+    let status = match outcome.passed {
+        Some(true) => JunitStatus::Passed,
+        Some(false) if outcome.total_unanswered().is_some() => JunitStatus::Error,
+        Some(false) => JunitStatus::Failed,
+        None => JunitStatus::Skipped,
+    };
+    JunitCase {
+        class: format!("crumple.suites.{}.{controller}", findings.suite.name),
+        name: format!("{}: {}", test.clause, test.name),
+        file: outcome.worst.as_ref().map(|worst| worst.file.clone()),
+        verifier: format!("{}: {}", findings.suite.name, test.name),
+        requirements: test.requirement.clone(),
+        status,
+        message: (status != JunitStatus::Passed).then(|| outcome.verdict.clone()),
+        output: outcome.margins.join("\n"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -17,56 +17,55 @@ mod followers;
 mod gate;
 mod gate_rules;
 mod gather_context;
+mod identity;
 mod junit;
 mod page;
 mod parts;
 mod plan;
 mod planned_suite;
+mod portable_config;
 mod prose;
 mod report;
 mod report_block;
+mod report_folder;
 mod report_part;
-mod results;
 mod rich_text;
 mod rounded;
 mod run_ends;
+mod run_info;
 mod table;
+#[cfg(feature = "schema")]
+mod tagged_schema;
 
 pub use avoidance::RoundedAvoidance;
 pub use cache::{CacheError, EvidenceCache, EvidenceHash};
 pub use case::{
-    CaseResult, CaseVerdict, PileUp, RoundedContact, RoundedLeadMeasures, STILL_CLOSING_TTC_S,
+    CaseResult, CaseVerdict, PileUp, RoundedCollision, RoundedLeadMeasures, STILL_CLOSING_TTC_S,
 };
 pub use claims::{
     AssuranceClaim, ClaimStatus, ContentId, Domain, Evidence, EvidenceSource, InferenceRule,
-    Ledger, MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, Subject, UncomparedText,
+    Ledger, MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, StrengthLevel, Subject,
+    UncomparedText,
 };
 pub use commands::{CommandFile, CrumpleCommand};
 pub use config::{
-    AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig,
+    AssessConfig, AssessConfigError, BrakeAfterCollision, CONFIG_VERSION, HarmConfig, RatesConfig,
+    SearchConfig, default_configuration,
 };
-pub use gate::AssessmentGate;
-pub use gate_rules::GateResult;
-pub use parts::{
-    ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits,
-    AssessmentProvenance, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow,
-    ClaimSummary, ControllerHarm, ControllerSample, ControllerUsefulness, DistinctFailure,
-    EarlierAssessment, EscapeFile, FailureSearch, FailureSearches, FileScenarios, FirstPage,
-    GainCurve, Glossary, HarmGroup, HarmReport, LargestGain, LimitingAssumption,
-    MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, OscillationGain, PairedCounts,
-    PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer,
-    ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
-    SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
-};
+pub use gate::GateConfig;
+pub use gate_rules::{AssessmentGate, GateResult, IndicatorInterval, SafetyIndicator};
+pub use identity::ReportIdentity;
+pub use parts::*;
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use report::{AssessmentReport, EVIDENCE_VERSION, REPORT_FOLDERS, REPORT_KIND};
+pub use report_folder::{EVIDENCE_FOLDER, LISTING_FILE, ReportFolder, ReportFolderError};
 pub use report_part::ReportSection;
-pub use results::GatheredResults;
 pub use rounded::Rounded;
 pub use run_ends::RunEnds;
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
+use crumple_evidence::drives::DriveError;
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_measure::GainError;
 use crumple_search::falsify::campaign::CampaignError;
@@ -109,10 +108,12 @@ pub enum AssessError {
     /// Evidence cannot be cached.
     #[error(transparent)]
     Cache(#[from] CacheError),
-    /// A specification does not fit a space.
     /// A controller contradicted itself, or can no longer be started.
     #[error(transparent)]
     Refused(#[from] RefusedController),
+    /// A recorded drive cannot be simulated.
+    #[error(transparent)]
+    Drive(#[from] DriveError),
     /// A suite cannot be run.
     #[error(transparent)]
     Suite(#[from] SuiteRunError),
@@ -160,43 +161,15 @@ pub fn assess(
     );
     let results = GatheredResults::gather(&work)?;
     work.ensure_all_trusted()?;
+    let configuration = plan.configuration_file(&results.proofs)?;
+    let identity = ReportIdentity::new(plan, &configuration);
+    let mut files = plan.command_files()?;
+    files.push(configuration);
     Ok(AssessmentReport::derive(
         plan,
         results,
         AssessmentProvenance::new(plan, cache),
-        plan.command_files()?,
+        (identity, files),
         against,
     ))
-}
-
-impl AssessmentPlan {
-    /// Returns the approximate number of runs of the plan: searches may end early.
-    #[must_use]
-    pub fn runs(&self) -> u64 {
-        let controllers = self.controllers.len() as u64;
-        let scenarios = (crumple_sim::scenario::built_in_scenario_names().len()
-            + self.file_scenarios.len()) as u64;
-        // A search has a method and two reference searches.
-        let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget;
-        let drawn = self.config.draws
-            * self.rate_spaces.len() as u64
-            * if self.config.harm.is_some() { 2 } else { 1 };
-        let runs_per_controller = scenarios + drawn + searches;
-        let learned = self
-            .controllers
-            .iter()
-            .filter(|controller| controller.source.is_learned())
-            .count() as u64;
-        let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
-        let counted = self.rate_spaces.len() as u64 * (learned + 1);
-        let tested: u64 = self
-            .suites
-            .iter()
-            .map(planned_suite::PlannedSuite::run_count)
-            .sum();
-        tested
-            + driven
-            + controllers.saturating_mul(runs_per_controller)
-            + counted.saturating_mul(self.config.rates.runs)
-    }
 }

@@ -3,6 +3,7 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::document::ReportDocument;
+use super::prose::prose_to_html;
 use super::report_part::{Chapter, ReportPart};
 use super::{AssessmentReport, ReportSection};
 use crate::units::insert_nbsp_before_units;
@@ -10,35 +11,45 @@ use crate::{PAGE_STYLE, draw};
 use crumple_core::markdown::Markdown;
 use crumple_core::quoting::TerminalLines;
 
-const TITLE: &str = "Crash test of longitudinal driving controllers";
+const KICKER: &str = "crumple: crash test of longitudinal driving controllers";
+
+const APPENDIX: &str = "Appendix";
 
 pub(super) fn render_html(assessment: &AssessmentReport) -> String {
     let sections = assessment.sections();
-    let [(title, main), (appendix_title, appendix)] = split(&sections);
-    render_page(&html! {
-        header {
-            p.kicker { "crumple " (assessment.provenance.crumple) }
-            h1 { (title) }
-            nav {
-                @for section in &sections {
-                    a href={ "#" (section.anchor) } { (section.title) } " "
+    let [main, appendix] = split(&sections);
+    let title = assessment.identity.title();
+    render_page(
+        assessment,
+        &html! {
+            header {
+                p.kicker { (KICKER) }
+                h1 { (prose_to_html(&title)) }
+                nav {
+                    @for section in &sections {
+                        a href={ "#" (section.anchor) } { (section.title) } " "
+                    }
                 }
             }
-        }
-        main {
-            (sections_to_html(main))
-            div.appendix { h1 { (appendix_title) } (sections_to_html(appendix)) }
-        }
-    })
+            main {
+                (sections_to_html(main))
+                div.appendix { h1 { (APPENDIX) } (sections_to_html(appendix)) }
+            }
+        },
+    )
 }
 
 pub(super) fn render_first_page(assessment: &AssessmentReport) -> String {
     let mut document = ReportDocument::new();
     assessment.first_page_section().write(&mut document);
-    render_page(&html! { main { section { (document.to_html()) } } })
+    render_page(
+        assessment,
+        &html! { main { section id="answer" { (document.to_html()) } } },
+    )
 }
 
-fn render_page(body: &Markup) -> String {
+fn render_page(assessment: &AssessmentReport, body: &Markup) -> String {
+    let title = assessment.identity.one_line();
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -46,8 +57,8 @@ fn render_page(body: &Markup) -> String {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="generator" content={ "crumple " (env!("CARGO_PKG_VERSION")) };
-                title { (TITLE) }
-                style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) }
+                title { (title) }
+                style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(page_foot(&title))) }
             }
             body { (body) }
         }
@@ -56,11 +67,29 @@ fn render_page(body: &Markup) -> String {
     insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
 }
 
-/// Returns the sections of the main part and those of the appendix, each under its heading.
-fn split(sections: &[ReportSection]) -> [(&'static str, &[ReportSection]); 2] {
+/// Returns the style of the foot of each printed page: the identity, and the number of the page.
+fn page_foot(identity: &str) -> String {
+    let quoted: String = identity.chars().map(css_escape).collect();
+    format!(
+        "@page{{@bottom-left{{font:8pt sans-serif;content:\"{quoted}\"}}@bottom-right{{font:8pt \
+         sans-serif;content:counter(page) \" / \" counter(pages)}}}}"
+    )
+}
+
+/// Escapes a character of a CSS string, also inside HTML: only letters, digits and harmless punctuation stay.
+fn css_escape(letter: char) -> String {
+    match letter {
+        ' ' | ',' | '.' | ':' | '-' | '_' => letter.to_string(),
+        _ if letter.is_ascii_alphanumeric() => letter.to_string(),
+        _ => format!("\\{:x} ", u32::from(letter)),
+    }
+}
+
+/// Returns the sections of the main part and those of the appendix.
+fn split(sections: &[ReportSection]) -> [&[ReportSection]; 2] {
     let main = sections.partition_point(|section| section.chapter < Chapter::Appendix);
     let (main, appendix) = sections.split_at(main);
-    [(TITLE, main), ("Appendix", appendix)]
+    [main, appendix]
 }
 
 fn sections_to_html(sections: &[ReportSection]) -> Markup {
@@ -73,7 +102,9 @@ fn sections_to_html(sections: &[ReportSection]) -> Markup {
 
 pub(super) fn render_markdown(assessment: &AssessmentReport) -> String {
     let mut text = Markdown::default();
-    for (heading, sections) in split(&assessment.sections()) {
+    let title = assessment.identity.title();
+    let headings = [title.as_str(), APPENDIX];
+    for (heading, sections) in headings.into_iter().zip(split(&assessment.sections())) {
         text.heading(1, heading);
         for section in sections {
             text.heading(2, section.title);

@@ -8,15 +8,18 @@ use crumple_sim::scenario::OpenDriver;
 use crumple_verify::Certificate;
 use serde_json::{Value, json};
 
+use super::AssessmentGate;
 use super::claims::{ContentId, Subject};
 use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION, EVERYDAY_SPACES};
-use super::gate::AssessmentGate;
+use super::followers::follower_drivers;
+use super::gate_rules::{GateName, NameRole};
 use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;
 use crumple_core::format_version::check_version;
 use crumple_core::{old_names, regular_file, text_file};
+use crumple_evidence::drives::{DriveSet, DriveSetError};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_sim::control::{BuiltInController, ControllerSource};
 use crumple_sim::engine::NamedController;
@@ -29,6 +32,9 @@ const MAX_DRAWS: u64 = 10_000_000;
 
 const MAX_EVALUATIONS: u64 = 1_000_000_000;
 
+/// Number of random scenarios whose followers represent those of a space.
+const FOLLOWER_DRAWS: u64 = 100;
+
 /// A valid configuration with everything that it names.
 #[derive(Debug, Clone)]
 pub struct AssessmentPlan {
@@ -40,11 +46,34 @@ pub struct AssessmentPlan {
     pub(super) file_scenarios: Vec<(PathBuf, Scenario)>,
     pub(super) left_out: Vec<DroppedItem>,
     pub(super) suites: Vec<PlannedSuite>,
+    /// Recorded drives.
+    pub(super) drives: Option<NamedDrives>,
     /// Scenario spaces whose failure rates are measured.
     pub(super) rate_spaces: Vec<NamedSpace>,
     /// Scenario spaces that are searched for failures.
     pub(super) search_spaces: Vec<NamedSpace>,
     pub(super) certificates: Vec<GivenCertificate>,
+}
+
+/// A folder of recorded drives.
+#[derive(Debug, Clone)]
+pub(super) struct NamedDrives {
+    pub(super) drives: DriveSet,
+    pub(super) content_id: ContentId,
+}
+
+impl NamedDrives {
+    fn load(folder: &Path, opener: &dyn OpenDriver) -> Result<Self, DriveSetError> {
+        let drives = DriveSet::load(folder, opener)?;
+        let name = folder.file_name().unwrap_or(folder.as_os_str());
+        Ok(Self {
+            content_id: ContentId {
+                name: name.to_string_lossy().into_owned(),
+                sha256: drives.identity().to_owned(),
+            },
+            drives,
+        })
+    }
 }
 
 #[derive(Debug, Clone)]
@@ -153,6 +182,20 @@ impl AssessmentPlan {
         loading.build_plan(config, controllers)
     }
 
+    /// Adds the recorded drives of a folder, in place of those of the configuration.
+    ///
+    /// # Errors
+    /// [`AssessConfigError`] for a folder without drives, and for a file that is no drive of one vehicle.
+    pub fn with_drives(
+        mut self,
+        folder: &Path,
+        controllers: Controllers,
+    ) -> Result<Self, AssessConfigError> {
+        self.drives = Some(NamedDrives::load(folder, &controllers)?);
+        self.config.drives = Some(folder.to_owned());
+        Ok(self)
+    }
+
     /// Returns each scenario space of the assessment once.
     pub(super) fn all_spaces(&self) -> Vec<ScenarioSpace> {
         let everyday = EVERYDAY_SPACES
@@ -171,13 +214,24 @@ impl AssessmentPlan {
         spaces
     }
 
+    /// Returns the drivers of the vehicles directly behind a vehicle under test in random scenarios of a space of this
+    /// assessment; `None` for another space, and if a scenario cannot be drawn.
+    pub(super) fn followers_in(&self, space: &ContentId) -> Option<Vec<String>> {
+        let spaces = self.all_spaces();
+        let space = spaces.iter().find(|other| other.name() == space.name)?;
+        let scenarios: Vec<Scenario> = (0..FOLLOWER_DRAWS)
+            .filter_map(|index| space.draw(self.config.seed, index).ok())
+            .collect();
+        (!scenarios.is_empty()).then(|| follower_drivers(&scenarios).into_iter().collect())
+    }
+
     /// True if a gate needs an earlier assessment to compare with.
     #[must_use]
     pub fn needs_earlier_assessment(&self) -> bool {
         self.config
             .gates
             .iter()
-            .any(|gate| matches!(gate, AssessmentGate::NothingWorse {}))
+            .any(|config| matches!(config.gate, AssessmentGate::NothingWorse {}))
     }
 
     /// Returns the subject of claims about a controller. A controller without identity equals no other one.
@@ -389,6 +443,7 @@ impl PlanLoader<'_> {
             &config.controllers_of_files,
         )?;
         self.check_space_names(&rate_spaces, &search_spaces)?;
+        let drives = self.load_drives(&config)?;
         let given = config.certificates.clone();
         let mut plan = AssessmentPlan {
             config,
@@ -397,6 +452,7 @@ impl PlanLoader<'_> {
             file_scenarios,
             left_out: recordings.left_out,
             suites,
+            drives,
             rate_spaces,
             search_spaces,
             certificates: Vec::new(),
@@ -429,15 +485,16 @@ impl PlanLoader<'_> {
         controllers: &[NamedController],
     ) -> Result<(), AssessConfigError> {
         for (index, gate) in config.gates.iter_mut().enumerate() {
-            for (field, name) in gate.controllers_mut() {
-                if self.find_controller(controllers, name).is_none() {
+            for GateName { role, field, name } in gate.gate.names_mut() {
+                if role == NameRole::Controller && self.find_controller(controllers, name).is_none()
+                {
                     let field = format!("gates[{index}].{field}");
                     return Err(self.field_error(&field, not_among_controllers(name)));
                 }
             }
         }
         for (index, gate) in config.gates.iter().enumerate() {
-            if let Some((field, problem)) = gate.config_problem(config) {
+            if let Some((field, problem)) = gate.gate.config_problem(config) {
                 return Err(self.field_error(&format!("gates[{index}].{field}"), problem));
             }
         }
@@ -571,6 +628,15 @@ impl PlanLoader<'_> {
                 left_out: imported.dropped,
             }),
         }
+    }
+
+    fn load_drives(&self, config: &AssessConfig) -> Result<Option<NamedDrives>, AssessConfigError> {
+        let Some(folder) = &config.drives else {
+            return Ok(None);
+        };
+        NamedDrives::load(&self.folder.join(folder), &config.controllers_of_files)
+            .map(Some)
+            .map_err(|error| self.field_error("drives", error.to_string()))
     }
 
     fn load_scenarios(

@@ -5,12 +5,13 @@ use serde::Serialize;
 use super::gate_rules::{GateInputs, GateResult};
 use super::parts::{
     Argument, AssessmentComparison, AssessmentLimits, AssessmentProvenance, ClaimRow, ClaimSummary,
-    DistinctFailure, EarlierAssessment, FirstPage, FirstPageSection, Glossary, RunInfo,
-    SpaceDescriptions, Suites,
+    DistinctFailure, EarlierAssessment, FirstPage, FirstPageSection, GatheredResults, Glossary,
+    RunInfo, SpaceDescriptions, Suites,
 };
 use super::report_part::{ReportPart, ReportSection};
-use super::results::GatheredResults;
-use super::{AssessmentPlan, CommandFile, CrumpleCommand, Ledger, commands, junit, page};
+use super::{
+    AssessmentPlan, CommandFile, CrumpleCommand, Ledger, ReportIdentity, commands, junit, page,
+};
 use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 
 /// Version of the JSON evidence that this release writes.
@@ -26,6 +27,8 @@ pub const EVIDENCE_VERSION: u32 = 4;
 pub struct AssessmentReport {
     /// Version of the evidence format.
     pub version: u32,
+    /// Identity of the report: subject, date, configuration and program.
+    pub identity: ReportIdentity,
     /// First page: the question and its answer.
     pub first_page: FirstPage,
     /// Verdict: claims, and the strength of their evidence.
@@ -89,7 +92,7 @@ impl AssessmentReport {
         plan: &AssessmentPlan,
         results: GatheredResults,
         provenance: AssessmentProvenance,
-        command_files: Vec<CommandFile>,
+        (identity, command_files): (ReportIdentity, Vec<CommandFile>),
         against: Option<&EarlierAssessment>,
     ) -> Self {
         let evidence = Ledger::new(results.evidence(plan));
@@ -102,14 +105,16 @@ impl AssessmentReport {
             plan,
             results: &results,
             evidence: &evidence,
+            claims: &claims,
             comparison: comparison.as_ref(),
         });
         let summary = ClaimSummary::new(plan, claims, gates);
         let limits = AssessmentLimits::new(plan);
         Self {
             version: EVIDENCE_VERSION,
+            argument: Argument::new(plan, &summary, &limits).with_identity(&identity),
+            identity,
             first_page: FirstPage::new(plan, &summary, &limits),
-            argument: Argument::new(plan, &summary, &limits),
             summary,
             evidence,
             results,
@@ -124,7 +129,10 @@ impl AssessmentReport {
     /// Adds the time, program and machine of the assessment.
     #[must_use]
     pub fn with_run_info(self, run_info: RunInfo) -> Self {
+        let identity = self.identity.with_run_info(&run_info);
         Self {
+            argument: self.argument.with_identity(&identity),
+            identity,
             provenance: self.provenance.with_run_info(run_info),
             ..self
         }
@@ -138,10 +146,12 @@ impl AssessmentReport {
 
     pub(super) fn first_page_section(&self) -> FirstPageSection<'_> {
         FirstPageSection {
+            identity: &self.identity,
             page: &self.first_page,
             summary: &self.summary,
             searches: &self.results.searches,
             usefulness: self.results.usefulness.as_ref(),
+            recorded_drives: self.results.recorded_drives.as_ref(),
         }
     }
 
@@ -160,6 +170,16 @@ impl AssessmentReport {
         ];
         parts.extend(derived);
         ReportSection::from_parts(parts)
+    }
+
+    /// Returns the result for a reader, as lines: the first page, changes since an earlier assessment, and gates.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let comparison = self.comparison.as_ref();
+        let changes = comparison.map(|comparison| comparison.to_plain_text());
+        self.first_page.to_plain_text()
+            + &changes.unwrap_or_default()
+            + &self.summary.gates_to_plain_text()
     }
 
     /// Returns the report as one self-contained HTML page.
@@ -193,7 +213,7 @@ impl AssessmentReport {
     /// # Errors
     /// None in practice; an error of the serializer is passed on.
     pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, serde_json::Error> {
-        let texts = self.texts()?.into_iter();
+        let texts = REPORT_FILES.into_iter().zip(self.texts()?);
         let command_files = self.command_files.iter();
         let mut files: Vec<(String, Vec<u8>)> = texts
             .map(|(name, text)| (name.to_owned(), text.into_bytes()))
@@ -208,17 +228,17 @@ impl AssessmentReport {
         Ok(files)
     }
 
-    /// Returns the report in each of its formats, and the script that repeats its results.
-    fn texts(&self) -> Result<[(&'static str, String); 6], serde_json::Error> {
+    /// Returns the report in each of its formats ([`REPORT_FILES`]), and the script that repeats its results.
+    fn texts(&self) -> Result<[String; 6], serde_json::Error> {
         let recount = self.results.proofs.recount_command();
         let replay = commands::replay_script(recount.as_ref(), self.commands());
         Ok([
-            ("assessment.html", self.to_html()),
-            ("assessment.md", self.to_markdown()),
-            ("assessment.json", self.to_json()?),
-            ("assessment.junit.xml", junit::render_junit(self)),
-            ("assessment.gsn.yaml", self.argument.to_yaml()),
-            ("replay.sh", replay),
+            self.to_html(),
+            self.to_markdown(),
+            self.to_json()?,
+            junit::render_junit(self),
+            self.argument.to_yaml(),
+            replay,
         ])
     }
 
@@ -240,11 +260,22 @@ fn evaluate_gates(inputs: &GateInputs<'_>) -> Vec<GateResult> {
 /// Content of a report folder, as its `work.json` states it.
 pub const REPORT_KIND: &str = "report of an assessment";
 
+/// Files that every report has, beside its `work.json`.
+pub(super) const REPORT_FILES: [&str; 6] = [
+    "assessment.html",
+    "assessment.md",
+    "assessment.json",
+    "assessment.junit.xml",
+    "assessment.gsn.yaml",
+    "replay.sh",
+];
+
 /// Subfolders of a report whose files may differ between reports.
-pub const REPORT_FOLDERS: [&str; 5] = [
+pub const REPORT_FOLDERS: [&str; 6] = [
     "counterexamples/",
     "certificates/",
     "controllers/",
     "spaces/",
     "scenarios/",
+    "suites/",
 ];

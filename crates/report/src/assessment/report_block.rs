@@ -1,4 +1,5 @@
-//! The blocks of a report. HTML shows some of them in another form than Markdown, which has no figures.
+//! The blocks of a report, from which HTML and Markdown follow. Markdown has no figures, no commands beside them, and
+//! no titles and summaries of blocks that have nothing else.
 
 use maud::{Markup, html};
 
@@ -21,16 +22,16 @@ pub(super) enum ReportBlock {
     Definitions(Vec<(String, String)>),
     /// Commands in one paragraph, only in HTML.
     Commands(Vec<String>),
-    /// A figure, only in HTML.
-    Figure(Markup),
+    /// A figure and the text below it, only in HTML.
+    Figure(Markup, Option<RichText>),
     /// A drawing without the frame of a figure, only in HTML.
     Drawing(Markup),
     /// Figures beside each other, only in HTML.
     Gallery(Vec<CaptionedDrawing>),
-    /// Blocks that HTML shows on demand below a summary, and Markdown without it.
+    /// Blocks that HTML shows on demand below a summary, and Markdown after it.
     Collapsible(String, Vec<Self>),
-    HtmlOnly(Vec<Self>),
-    MarkdownOnly(Vec<Self>),
+    /// Blocks below a heading.
+    Titled(String, Vec<Self>),
 }
 
 /// The appearance of a paragraph in HTML.
@@ -51,7 +52,7 @@ pub(super) enum ListStyle {
     Short,
 }
 
-/// A list under a title. HTML states that an empty list has no entries.
+/// A list under a title. Without lines it states that there are none.
 #[derive(Debug, Clone)]
 pub(super) struct TitledList {
     pub(super) title: &'static str,
@@ -83,7 +84,12 @@ impl ReportBlock {
             Self::Commands(commands) => {
                 html! { p.replay { @for command in commands { (command_to_html(command)) } } }
             }
-            Self::Figure(drawing) => html! { figure { (drawing) } },
+            Self::Figure(drawing, text) => html! {
+                figure {
+                    (drawing)
+                    @if let Some(text) = text { figcaption { (text.to_html()) } }
+                }
+            },
             Self::Drawing(drawing) => drawing.clone(),
             Self::Gallery(figures) => {
                 html! { div.worst { @for figure in figures { (figure.to_html()) } } }
@@ -91,13 +97,13 @@ impl ReportBlock {
             Self::Collapsible(summary, content) => {
                 html! { details { summary { (summary) } (blocks_to_html(content)) } }
             }
-            Self::HtmlOnly(content) => blocks_to_html(content),
-            Self::MarkdownOnly(_) => html! {},
+            Self::Titled(title, content) => html! { h3 { (title) } (blocks_to_html(content)) },
         }
     }
 
     pub(super) fn write_markdown(&self, out: &mut Markdown) {
         match self {
+            _ if !self.is_in_markdown() => {}
             Self::Paragraph(text, _) => out.paragraph(text.to_inline()),
             Self::Heading(text) => out.heading(3, text),
             Self::Entry(title, text) => out.paragraph(entry_to_inline(title, text)),
@@ -105,11 +111,26 @@ impl ReportBlock {
             Self::List(lines, _) => out.list(lines.iter().map(RichText::to_inline)),
             Self::Columns(columns) => columns.iter().for_each(|list| list.write_markdown(out)),
             Self::Definitions(rows) => out.list(rows.iter().map(definition_to_inline)),
-            Self::Collapsible(_, content) | Self::MarkdownOnly(content) => {
+            Self::Collapsible(summary, content) => {
+                out.paragraph(RichText::strong(format!("{summary}:")).to_inline());
                 write_blocks_as_markdown(content, out);
             }
-            Self::Commands(_) | Self::Figure(_) | Self::Drawing(_) => {}
-            Self::Gallery(_) | Self::HtmlOnly(_) => {}
+            Self::Titled(title, content) => {
+                out.heading(3, title);
+                write_blocks_as_markdown(content, out);
+            }
+            Self::Commands(_) | Self::Figure(..) | Self::Drawing(_) | Self::Gallery(_) => {}
+        }
+    }
+
+    /// False if the block has nothing that Markdown shows.
+    fn is_in_markdown(&self) -> bool {
+        match self {
+            Self::Commands(_) | Self::Figure(..) | Self::Drawing(_) | Self::Gallery(_) => false,
+            Self::Collapsible(_, content) | Self::Titled(_, content) => {
+                content.iter().any(Self::is_in_markdown)
+            }
+            _ => true,
         }
     }
 }
@@ -154,17 +175,21 @@ fn definition_to_inline((name, value): &(String, String)) -> Inline {
 }
 
 impl TitledList {
-    fn to_html(&self) -> Markup {
-        let lines: Vec<RichText> = match self.lines.as_slice() {
+    fn entries(&self) -> Vec<RichText> {
+        match self.lines.as_slice() {
             [] => vec!["none".into()],
             lines => lines.iter().map(RichText::from).collect(),
-        };
-        html! { div { h3 { (self.title) } (list_to_html(&lines, ListStyle::Plain)) } }
+        }
+    }
+
+    fn to_html(&self) -> Markup {
+        let entries = list_to_html(&self.entries(), ListStyle::Plain);
+        html! { div { h3 { (self.title) } (entries) } }
     }
 
     fn write_markdown(&self, out: &mut Markdown) {
         out.paragraph(format!("{}:", self.title));
-        out.list(self.lines.iter().map(String::as_str));
+        out.list(self.entries().iter().map(RichText::to_inline));
     }
 }
 
@@ -174,8 +199,8 @@ impl CaptionedDrawing {
             figure {
                 (self.drawing)
                 figcaption {
-                    (self.caption) " · "
-                    @if let Some(command) = &self.command { (command_to_html(command)) }
+                    (self.caption)
+                    @if let Some(command) = &self.command { " · " (command_to_html(command)) }
                 }
             }
         }

@@ -38,6 +38,14 @@ pub(super) trait ReportPart {
     /// Writes the part, without its heading.
     fn write(&self, out: &mut ReportDocument);
 
+    /// Returns the approximate number of runs that a plan needs for the part; searches may end early.
+    fn runs(_plan: &AssessmentPlan) -> u64
+    where
+        Self: Sized,
+    {
+        0
+    }
+
     /// False if the part has nothing to show.
     fn is_shown(&self) -> bool {
         true

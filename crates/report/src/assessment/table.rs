@@ -22,6 +22,8 @@ pub(super) struct ReportCell {
 pub(super) enum CellMark {
     Neutral,
     Good,
+    /// A good result of tests alone.
+    Tested,
     Bad,
     /// A right-aligned number.
     Number,
@@ -32,6 +34,7 @@ impl CellMark {
         match self {
             Self::Neutral => None,
             Self::Good => Some("good compared"),
+            Self::Tested => Some("good compared tested"),
             Self::Bad => Some("bad compared"),
             Self::Number => Some("number"),
         }
@@ -40,7 +43,7 @@ impl CellMark {
     fn sign(self) -> &'static str {
         match self {
             Self::Neutral | Self::Number => "",
-            Self::Good => "✓ ",
+            Self::Good | Self::Tested => "✓ ",
             Self::Bad => "✗ ",
         }
     }

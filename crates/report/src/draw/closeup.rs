@@ -18,7 +18,7 @@ pub(super) struct Focus {
     pub(super) front: usize,
     pub(super) rear: usize,
     pub(super) gap_m: f64,
-    pub(super) is_contact: bool,
+    pub(super) is_collision: bool,
 }
 
 /// Shares of the host's width and height for the inset; the first one that hides little is used.
@@ -99,7 +99,7 @@ fn add_vehicle_bands(inset: &mut Panel, trace: &Trace, zoom: &ZoomRanges) -> Vec
 /// Marks the collision, or the smallest gap with its length.
 fn add_focus(inset: &mut Panel, focus: &Focus, rear_m: f64, zoom: &ZoomRanges) {
     let rear = (focus.time_s, rear_m);
-    if focus.is_contact {
+    if focus.is_collision {
         inset.add_markers(&[rear], Marker::Burst, Ink::Alert);
         return;
     }

@@ -12,9 +12,15 @@ use super::theme::{Ink, TEXT_SIZE, draw_swatch};
 pub(super) const LABEL_STEP: f64 = 15.0;
 
 /// Maximum width of a name beside the time-space diagram, in pixels.
-const MAX_NAME_WIDTH: f64 = 140.0;
+const MAX_NAME_WIDTH: f64 = 165.0;
 
 const TITLE_SIZE: f64 = 14.0;
+
+/// Height of a panel where two are above each other, in pixels.
+const ROW_HEIGHT: f64 = 150.0;
+
+/// Distance between panels above each other, in pixels: ticks of the upper one, heading of the lower one.
+const BETWEEN_ROWS: f64 = BOTTOM_MARGIN + HEADING_HEIGHT;
 
 /// Height of a row of the legend, and width of its line samples, in pixels.
 const LEGEND_ROW_HEIGHT: f64 = 20.0;
@@ -28,6 +34,8 @@ pub(super) struct FigureLayout {
     pub(super) position: PixelRect,
     pub(super) speed: PixelRect,
     pub(super) gap: PixelRect,
+    pub(super) acceleration: PixelRect,
+    pub(super) ttc: PixelRect,
     /// Right end of the column of labels beside the time-space diagram.
     pub(super) labels_right: f64,
     pub(super) widest_tag: f64,
@@ -58,7 +66,7 @@ impl FigureLayout {
             }
         };
         // In a row all panels end at the same height.
-        let height = frames.gap.bottom() + BOTTOM_MARGIN;
+        let height = frames.ttc.bottom() + BOTTOM_MARGIN;
         Self {
             arrangement,
             width,
@@ -67,6 +75,8 @@ impl FigureLayout {
             position: frames.position,
             speed: frames.speed,
             gap: frames.gap,
+            acceleration: frames.acceleration,
+            ttc: frames.ttc,
             labels_right: frames.labels_right,
             widest_tag,
         }
@@ -99,16 +109,18 @@ impl FigureLayout {
     }
 }
 
-/// The frames of the three panels, and the right end of the labels beside the time-space diagram.
+/// The frames of the panels, and the right end of the labels beside the time-space diagram.
 struct PanelFrames {
     position: PixelRect,
     speed: PixelRect,
     gap: PixelRect,
+    acceleration: PixelRect,
+    ttc: PixelRect,
     labels_right: f64,
 }
 
 impl PanelFrames {
-    /// Returns frames beside each other, with room for names between the first two.
+    /// Returns the time-space diagram on the left, with room for names, and two rows of two frames beside it.
     fn in_row(figure: &MotionFigure<'_>, width: f64, top: f64, widest_tag: f64) -> Self {
         let names = (0..figure.trace.vehicles.len())
             .map(|index| text_width(&vehicle_name(figure, index), TEXT_SIZE))
@@ -120,11 +132,12 @@ impl PanelFrames {
             left: LEFT_MARGIN,
             top: top + HEADING_HEIGHT,
             width: 1.3 * unit,
-            height: height_for_labels(figure, 240.0),
+            height: height_for_labels(figure, 2.0 * ROW_HEIGHT + BETWEEN_ROWS),
         };
         let speed = PixelRect {
             left: position.right() + labels + LEFT_MARGIN + 8.0,
             width: unit,
+            height: (position.height - BETWEEN_ROWS) / 2.0,
             ..position
         };
         let gap = PixelRect {
@@ -135,6 +148,8 @@ impl PanelFrames {
             position,
             speed,
             gap,
+            acceleration: below(speed),
+            ttc: below(gap),
             labels_right: position.right() + labels,
         }
     }
@@ -159,16 +174,24 @@ impl PanelFrames {
             height: other_height,
             ..position
         };
-        let gap = PixelRect {
-            top: speed.bottom() + BOTTOM_MARGIN + HEADING_HEIGHT,
-            ..speed
-        };
+        let gap = below(speed);
+        let acceleration = below(gap);
         Self {
             position,
             speed,
             gap,
+            acceleration,
+            ttc: below(acceleration),
             labels_right: width,
         }
+    }
+}
+
+/// Returns the frame below another one.
+fn below(frame: PixelRect) -> PixelRect {
+    PixelRect {
+        top: frame.bottom() + BETWEEN_ROWS,
+        ..frame
     }
 }
 

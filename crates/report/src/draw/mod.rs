@@ -37,7 +37,7 @@ pub use motion_axes::MotionAxes;
 pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_text};
 pub(crate) use path::PixelPoint;
 pub use png_error::DrawError;
-pub use robustness::add_robustness;
+pub use robustness::{add_levels, add_robustness};
 pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 pub use vehicle_names::vehicle_names;

@@ -1,4 +1,5 @@
-//! The three diagrams of the paper's results: time-space, time-speed and spacing.
+//! The diagrams of one run: the three of the paper's results (time-space, time-speed and spacing), acceleration, and
+//! time to collision.
 
 use super::path::Px;
 use maud::{Markup, html};
@@ -7,12 +8,12 @@ use super::axis::LEFT_MARGIN;
 use super::closeup::{self, Focus};
 use super::figure_layout::{FigureLayout, LABEL_STEP, vehicle_name};
 use super::label::{PixelRect, spread_evenly, text_width};
-use super::motion_axes::MotionAxes;
+use super::motion_axes::{MAX_TTC_S, MotionAxes};
 use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line, draw_tag, draw_text, tag_width};
 use super::scale::extent;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 use super::{Svg, path};
-use crumple_sim::engine::{Contact, Impact, Trace, Track, VehiclePair};
+use crumple_sim::engine::{Collision, Impact, Trace, Track, VehiclePair};
 
 /// The data of a motion figure of one run.
 #[derive(Debug, Clone, Copy)]
@@ -44,13 +45,13 @@ pub enum PanelArrangement {
 /// Maximum number of vehicles with tags; with more, lines are too close for useful tags.
 const MAX_TAGGED_VEHICLES: usize = 60;
 
-/// Draws the three diagrams of one run.
+/// Draws the diagrams of one run.
 #[must_use]
 pub fn draw_motion(figure: &MotionFigure<'_>, layout: PanelArrangement) -> Svg {
     draw_motion_on_axes(figure, &MotionAxes::from_trace(figure.trace), layout)
 }
 
-/// Draws the three diagrams of one run on given axes, so that it can be compared with others.
+/// Draws the diagrams of one run on given axes, so that it can be compared with others.
 #[must_use]
 pub fn draw_motion_on_axes(
     figure: &MotionFigure<'_>,
@@ -64,6 +65,8 @@ pub fn draw_motion_on_axes(
         (position_panel(figure, &plan, axes).draw(&Svg::id(prefix, "space")))
         (speed_panel(figure, plan.speed, axes).draw(&Svg::id(prefix, "speed")))
         (gap_panel(figure, plan.gap, axes).draw(&Svg::id(prefix, "spacing")))
+        (acceleration_panel(figure, plan.acceleration, axes).draw(&Svg::id(prefix, "acceleration")))
+        (ttc_panel(figure, plan.ttc, axes).draw(&Svg::id(prefix, "ttc")))
     };
     Svg::new(
         prefix,
@@ -156,22 +159,22 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionA
         add_vehicle_band(&mut panel, &trace.time_s, track, index);
     }
     let right = plan.labels_right;
-    mark_contacts(&mut panel, figure, right, |contact| ContactMark {
+    mark_collisions(&mut panel, figure, right, |collision| CollisionMark {
         text: format!(
             "collision {} at {:.2} s, {:.1} m/s",
-            format_pair(contact),
-            contact.time_s,
-            contact.impact_speed_mps
+            format_pair(collision),
+            collision.time_s,
+            collision.impact_speed_mps
         ),
         value: trace
             .vehicles
-            .get(contact.rear_vehicle)
+            .get(collision.rear_vehicle)
             .map_or(0.0, |rear| {
-                closeup::value_at(trace, &rear.position_m, contact.time_s)
+                closeup::value_at(trace, &rear.position_m, collision.time_s)
             }),
     });
     if let Some(focus) = find_focus(figure) {
-        if !focus.is_contact {
+        if !focus.is_collision {
             add_caption(&mut panel, focus.time_s, "no collision", Ink::Muted, right);
         }
         closeup::add_inset(
@@ -259,29 +262,20 @@ fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLay
 fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let mut panel = Panel::new(frame, "Speed (m/s)", axes.time(), axes.speed());
-    let mut tags = Vec::new();
-    for (index, track) in trace.vehicles.iter().enumerate() {
-        let line = to_points(&trace.time_s, track.speed_mps.iter().copied());
-        panel.add_line(&line, Stroke::series(index));
-        tags.push(TaggedLine {
-            points: line,
-            tag: index.to_string(),
-            ink: Ink::Series(index),
-        });
-    }
+    let tags = add_tracks(&mut panel, trace, |track| &track.speed_mps);
     let width = if figure.impacts.len() > 4 { 1.2 } else { 2.4 };
-    for Impact { contact, .. } in figure.impacts {
+    for Impact { collision, .. } in figure.impacts {
         panel.add_segment(
-            (contact.time_s, contact.front_speed_mps),
-            (contact.time_s, contact.rear_speed_mps),
+            (collision.time_s, collision.front_speed_mps),
+            (collision.time_s, collision.rear_speed_mps),
             Stroke::solid(Ink::Alert, width),
         );
     }
-    mark_contacts(&mut panel, figure, frame.right() + 12.0, |contact| {
-        let rear_mps = contact.rear_speed_mps;
-        let front_mps = contact.front_speed_mps;
-        let pair = format_pair(contact);
-        ContactMark {
+    mark_collisions(&mut panel, figure, frame.right() + 12.0, |collision| {
+        let rear_mps = collision.rear_speed_mps;
+        let front_mps = collision.front_speed_mps;
+        let pair = format_pair(collision);
+        CollisionMark {
             text: format!("collision {pair}: {rear_mps:.1} into {front_mps:.1} m/s"),
             value: (rear_mps + front_mps) / 2.0,
         }
@@ -290,6 +284,25 @@ fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -
         panel.add_tags(&tags);
     }
     panel
+}
+
+/// Draws a series of every vehicle, and returns the lines with their tags.
+fn add_tracks(
+    panel: &mut Panel,
+    trace: &Trace,
+    series: impl Fn(&Track) -> &[f64],
+) -> Vec<TaggedLine> {
+    let tracks = trace.vehicles.iter().enumerate();
+    let tagged = tracks.map(|(index, track)| TaggedLine {
+        points: to_points(&trace.time_s, series(track).iter().copied()),
+        tag: index.to_string(),
+        ink: Ink::Series(index),
+    });
+    let tagged: Vec<_> = tagged.collect();
+    for (index, line) in tagged.iter().enumerate() {
+        panel.add_line(&line.points, Stroke::series(index));
+    }
+    tagged
 }
 
 fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
@@ -310,15 +323,15 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> 
         });
     }
     let right = frame.right() + 12.0;
-    mark_contacts(&mut panel, figure, right, |contact| ContactMark {
+    mark_collisions(&mut panel, figure, right, |collision| CollisionMark {
         text: format!(
             "collision {} at {:.2} s",
-            format_pair(contact),
-            contact.time_s
+            format_pair(collision),
+            collision.time_s
         ),
         value: 0.0,
     });
-    if let Some(focus) = find_focus(figure).filter(|focus| !focus.is_contact) {
+    if let Some(focus) = find_focus(figure).filter(|focus| !focus.is_collision) {
         panel.add_markers(&[(focus.time_s, focus.gap_m)], Marker::Ring, Ink::Text);
         let text = format!(
             "smallest gap {:.2} m ({}\u{2013}{}) at {:.2} s",
@@ -332,24 +345,87 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> 
     panel
 }
 
+fn acceleration_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
+    let MotionFigure { trace, .. } = figure;
+    let mut panel = Panel::new(
+        frame,
+        "Acceleration (m/s²)",
+        axes.time(),
+        axes.acceleration(),
+    );
+    panel.add_horizontal_line(0.0, Stroke::solid(Ink::Muted, 1.0));
+    let tags = add_tracks(&mut panel, trace, |track| &track.acceleration_mps2);
+    mark_first_collision(&mut panel, figure);
+    if tags.len() <= MAX_TAGGED_VEHICLES {
+        panel.add_tags(&tags);
+    }
+    panel
+}
+
+/// Draws the time to collision of each pair while it is at most [`MAX_TTC_S`].
+fn ttc_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
+    let MotionFigure { trace, .. } = figure;
+    let heading = format!("Time to collision, to {MAX_TTC_S} s (s)");
+    let mut panel = Panel::new(frame, &heading, axes.time(), axes.ttc());
+    for (rear, pair) in vehicle_pairs(trace) {
+        for line in ttc_lines(&pair) {
+            panel.add_line(&line, Stroke::series(rear));
+        }
+    }
+    mark_first_collision(&mut panel, figure);
+    panel
+}
+
+/// Returns the time to collision of a pair as one line for each time in which it is at most [`MAX_TTC_S`].
+fn ttc_lines(pair: &VehiclePair<'_>) -> Vec<Vec<path::PixelPoint>> {
+    let mut lines: Vec<Vec<path::PixelPoint>> = Vec::new();
+    let mut is_open = false;
+    for (sample, gap_m) in pair.gaps_m() {
+        let speeds = [&pair.front.speed_mps, &pair.rear.speed_mps].map(|speed| speed.get(sample));
+        let ([Some(front_mps), Some(rear_mps)], Some(&time_s)) = (speeds, pair.time_s.get(sample))
+        else {
+            continue;
+        };
+        let ttc_s = gap_m / (rear_mps - front_mps);
+        let is_shown = rear_mps > front_mps && (0.0..=MAX_TTC_S).contains(&ttc_s);
+        match lines.last_mut().filter(|_| is_open && is_shown) {
+            Some(line) => line.push((time_s, ttc_s)),
+            None if is_shown => lines.push(vec![(time_s, ttc_s)]),
+            None => {}
+        }
+        is_open = is_shown;
+    }
+    lines
+}
+
+fn mark_first_collision(panel: &mut Panel, figure: &MotionFigure<'_>) {
+    if let Some(Impact { collision, .. }) = figure.impacts.first() {
+        let stroke = Stroke {
+            dash: "3 3",
+            ..Stroke::solid(Ink::Alert, 1.0)
+        };
+        panel.add_vertical_line(collision.time_s, stroke);
+    }
+}
+
 /// The mark of a collision in a panel: its description, and its value on the vertical axis.
-struct ContactMark {
+struct CollisionMark {
     text: String,
     value: f64,
 }
 
 /// Adds a star at every impact, and a line from the first one to its description.
-fn mark_contacts(
+fn mark_collisions(
     panel: &mut Panel,
     figure: &MotionFigure<'_>,
     right: f64,
-    describe: impl Fn(&Contact) -> ContactMark,
+    describe: impl Fn(&Collision) -> CollisionMark,
 ) {
-    for (rank, Impact { contact, .. }) in figure.impacts.iter().enumerate() {
-        let ContactMark { text, value } = describe(contact);
+    for (rank, Impact { collision, .. }) in figure.impacts.iter().enumerate() {
+        let CollisionMark { text, value } = describe(collision);
         if rank == 0 {
             panel.add_vertical_line(
-                contact.time_s,
+                collision.time_s,
                 Stroke {
                     dash: "3 3",
                     ..Stroke::solid(Ink::Alert, 1.0)
@@ -361,9 +437,9 @@ fn mark_contacts(
             } else {
                 format!("{text}; {more} more")
             };
-            add_caption(panel, contact.time_s, &text, Ink::Alert, right);
+            add_caption(panel, collision.time_s, &text, Ink::Alert, right);
         }
-        panel.add_markers(&[(contact.time_s, value)], Marker::Burst, Ink::Alert);
+        panel.add_markers(&[(collision.time_s, value)], Marker::Burst, Ink::Alert);
     }
 }
 
@@ -386,19 +462,19 @@ fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64)
 }
 
 fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
-    if let Some(Impact { contact, .. }) = figure.impacts.first() {
-        let &Contact {
+    if let Some(Impact { collision, .. }) = figure.impacts.first() {
+        let &Collision {
             time_s,
             front_vehicle: front,
             rear_vehicle: rear,
             ..
-        } = contact;
+        } = collision;
         return Some(Focus {
             time_s,
             front,
             rear,
             gap_m: 0.0,
-            is_contact: true,
+            is_collision: true,
         });
     }
     let mut closest: Option<Focus> = None;
@@ -413,7 +489,7 @@ fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
                     front: pair.front_vehicle,
                     rear,
                     gap_m,
-                    is_contact: false,
+                    is_collision: false,
                 });
             }
         }
@@ -431,25 +507,28 @@ fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::Pix
     time_s.iter().copied().zip(values).collect()
 }
 
-fn format_pair(contact: &Contact) -> String {
-    format!("{}\u{2013}{}", contact.front_vehicle, contact.rear_vehicle)
+fn format_pair(collision: &Collision) -> String {
+    format!(
+        "{}\u{2013}{}",
+        collision.front_vehicle, collision.rear_vehicle
+    )
 }
 
 fn description(figure: &MotionFigure<'_>) -> String {
     let (first, last) = extent(figure.trace.time_s.iter().copied());
     let run = format!(
-        "Position, speed and bumper gaps of {} vehicles over {:.2} s.",
+        "Position, speed, bumper gaps, acceleration and time to collision of {} vehicles over {:.2} s.",
         figure.trace.vehicles.len(),
         last - first
     );
     let end = match (figure.impacts.first(), find_focus(figure)) {
-        (Some(Impact { contact, .. }), _) => format!(
+        (Some(Impact { collision, .. }), _) => format!(
             "First collision: vehicle {} hits vehicle {} at {:.2} s, {:.1} into {:.1} m/s. Impacts: {}.",
-            contact.rear_vehicle,
-            contact.front_vehicle,
-            contact.time_s,
-            contact.rear_speed_mps,
-            contact.front_speed_mps,
+            collision.rear_vehicle,
+            collision.front_vehicle,
+            collision.time_s,
+            collision.rear_speed_mps,
+            collision.front_speed_mps,
             figure.impacts.len()
         ),
         (None, Some(focus)) => format!(

@@ -1,5 +1,7 @@
 //! Linear scales, and round numbers for the labels of an axis.
 
+use crumple_core::digits::format_fixed;
+
 /// Maximum absolute value of an axis, which keeps every difference finite.
 const MAX_VALUE: f64 = 1e12;
 
@@ -133,12 +135,9 @@ impl Ticks {
 /// Formats a number with a true minus sign, and none on zero.
 #[must_use]
 pub fn format_number(value: f64, decimals: usize) -> String {
-    let text = format!("{value:.decimals$}");
+    let text = format_fixed(value, decimals);
     match text.strip_prefix('-') {
-        Some(digits) if digits.contains(|c: char| ('1'..='9').contains(&c)) => {
-            format!("\u{2212}{digits}")
-        }
-        Some(digits) => digits.to_owned(),
+        Some(digits) => format!("\u{2212}{digits}"),
         None => text,
     }
 }

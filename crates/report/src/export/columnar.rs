@@ -8,6 +8,7 @@ use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 use parquet::schema::parser::parse_message_type;
 
 use super::{ExportError, TraceRow, trace_rows};
+use crumple_measure::LevelMeasures;
 use crumple_sim::engine::Trace;
 
 const SCHEMA: &str = "message trace {
@@ -17,15 +18,20 @@ const SCHEMA: &str = "message trace {
     REQUIRED DOUBLE speed_mps;
     REQUIRED DOUBLE acceleration_mps2;
     OPTIONAL DOUBLE gap_m;
-}";
+";
 
-/// Encodes the trace as a Parquet file.
+/// The column of levels, if there are any.
+const LEVEL_SCHEMA: &str = "    OPTIONAL DOUBLE level_mps2;
+";
+
+/// Encodes the trace as a Parquet file; with a column of levels if there are any.
 ///
 /// # Errors
 /// [`ExportError::Parquet`] if the encoder fails, which does not happen in memory.
-pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
-    let rows = trace_rows(trace);
-    let schema = Arc::new(parse_message_type(SCHEMA)?);
+pub fn to_parquet(trace: &Trace, levels: &[LevelMeasures]) -> Result<Vec<u8>, ExportError> {
+    let rows = trace_rows(trace, levels);
+    let level = if levels.is_empty() { "" } else { LEVEL_SCHEMA };
+    let schema = Arc::new(parse_message_type(&format!("{SCHEMA}{level}}}"))?);
     let properties = WriterProperties::builder()
         .set_compression(parquet::basic::Compression::SNAPPY)
         .build();
@@ -44,7 +50,8 @@ pub fn to_parquet(trace: &Trace) -> Result<Vec<u8>, ExportError> {
             2 => write_doubles(&mut column, &rows, |row| row.position_m)?,
             3 => write_doubles(&mut column, &rows, |row| row.speed_mps)?,
             4 => write_doubles(&mut column, &rows, |row| row.acceleration_mps2)?,
-            _ => write_gaps(&mut column, &rows)?,
+            5 => write_optional(&mut column, &rows, |row| row.gap_m)?,
+            _ => write_optional(&mut column, &rows, |row| row.level_mps2)?,
         }
         column.close()?;
         index += 1;
@@ -65,18 +72,19 @@ fn write_doubles(
     Ok(())
 }
 
-/// Writes the gaps, which some rows lack.
-fn write_gaps(
+/// Writes numbers that some rows lack.
+fn write_optional(
     column: &mut SerializedColumnWriter<'_>,
     rows: &[TraceRow],
+    value: fn(&TraceRow) -> Option<f64>,
 ) -> Result<(), ExportError> {
-    let gaps_m: Vec<_> = rows.iter().filter_map(|row| row.gap_m).collect();
+    let values: Vec<_> = rows.iter().filter_map(value).collect();
     let present: Vec<_> = rows
         .iter()
-        .map(|row| i16::from(row.gap_m.is_some()))
+        .map(|row| i16::from(value(row).is_some()))
         .collect();
     column
         .typed::<DoubleType>()
-        .write_batch(&gaps_m, Some(&present), None)?;
+        .write_batch(&values, Some(&present), None)?;
     Ok(())
 }

@@ -1,11 +1,13 @@
 //! Traces as tables in CSV or Parquet, one row per sample and vehicle.
 //!
 //! Columns: `time_s`, `vehicle`, `position_m`, `speed_mps`, `acceleration_mps2`, `gap_m` (to the vehicle ahead; empty
-//! for the leader). Rows are in order of time, then of vehicle.
+//! for the leader). If levels were computed, `level_mps2` follows (empty between two levels, and for vehicles that are
+//! not under test). Rows are in order of time, then of vehicle.
 
 #[cfg(feature = "parquet")]
 mod columnar;
 
+use crumple_measure::LevelMeasures;
 use crumple_sim::engine::Trace;
 
 #[cfg(feature = "parquet")]
@@ -22,6 +24,9 @@ const COLUMNS: [&str; 6] = [
     "acceleration_mps2",
     "gap_m",
 ];
+
+/// Column of levels, if there are any.
+const LEVEL_COLUMN: &str = "level_mps2";
 
 /// An error of encoding a table.
 #[derive(Debug, thiserror::Error)]
@@ -46,9 +51,28 @@ struct TraceRow {
     speed_mps: f64,
     acceleration_mps2: f64,
     gap_m: Option<f64>,
+    level_mps2: Option<f64>,
 }
 
-fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
+/// Returns the levels of each vehicle at each sample that has one.
+fn levels_by_sample(trace: &Trace, levels: &[LevelMeasures]) -> Vec<Vec<Option<f64>>> {
+    let mut all = vec![vec![None; trace.len()]; trace.vehicles.len()];
+    for measured in levels {
+        let Some(column) = all.get_mut(measured.vehicle) else {
+            continue;
+        };
+        for (time_s, level_mps2) in measured.time_s.iter().zip(&measured.level_mps2) {
+            let sample = trace.time_s.partition_point(|time| time < time_s);
+            if let Some(cell) = column.get_mut(sample) {
+                *cell = Some(*level_mps2);
+            }
+        }
+    }
+    all
+}
+
+fn trace_rows(trace: &Trace, levels: &[LevelMeasures]) -> Vec<TraceRow> {
+    let levels_mps2 = levels_by_sample(trace, levels);
     let gaps_m: Vec<Vec<Option<f64>>> = (0..trace.vehicles.len())
         .map(|rear| trace.gaps_m(rear))
         .collect();
@@ -62,6 +86,9 @@ fn trace_rows(trace: &Trace) -> Vec<TraceRow> {
                 speed_mps: value_at(&track.speed_mps, sample),
                 acceleration_mps2: value_at(&track.acceleration_mps2, sample),
                 gap_m: gaps_m.get(sample).copied().flatten(),
+                level_mps2: levels_mps2
+                    .get(vehicle)
+                    .and_then(|levels| levels.get(sample).copied().flatten()),
             });
         }
     }
@@ -72,26 +99,34 @@ fn value_at(column: &[f64], sample: usize) -> f64 {
     column.get(sample).copied().unwrap_or(f64::NAN)
 }
 
-/// Encodes the trace as CSV with a header line.
+/// Encodes the trace as CSV with a header line; with a column of levels if there are any.
 ///
 /// # Errors
 /// [`ExportError::Csv`] if the encoder fails, which does not happen in memory.
-pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
+pub fn to_csv(trace: &Trace, levels: &[LevelMeasures]) -> Result<Vec<u8>, ExportError> {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    writer.write_record(COLUMNS)?;
-    for row in trace_rows(trace) {
+    let has_levels = !levels.is_empty();
+    writer.write_record(
+        COLUMNS
+            .into_iter()
+            .chain(has_levels.then_some(LEVEL_COLUMN)),
+    )?;
+    for row in trace_rows(trace, levels) {
         let numbers =
             [row.position_m, row.speed_mps, row.acceleration_mps2].map(|number| number.to_string());
-        let gap = row.gap_m.map(|gap_m| gap_m.to_string()).unwrap_or_default();
+        let optional =
+            |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
         let [position, speed, acceleration] = numbers;
-        writer.write_record([
+        let cells = [
             row.time_s.to_string(),
             row.vehicle.to_string(),
             position,
             speed,
             acceleration,
-            gap,
-        ])?;
+            optional(row.gap_m),
+        ];
+        let level = has_levels.then(|| optional(row.level_mps2));
+        writer.write_record(cells.into_iter().chain(level))?;
     }
     writer
         .into_inner()
@@ -103,7 +138,7 @@ pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
 /// # Errors
 /// [`ExportError::NeedsParquet`], because this build lacks the feature `parquet`.
 #[cfg(not(feature = "parquet"))]
-pub fn to_parquet(_: &Trace) -> Result<Vec<u8>, ExportError> {
+pub fn to_parquet(_: &Trace, _: &[LevelMeasures]) -> Result<Vec<u8>, ExportError> {
     Err(ExportError::NeedsParquet)
 }
 
@@ -125,10 +160,11 @@ mod tests {
         )
         .unwrap();
         let trace = simulate(&run, RecordingLevel::Trace).trace.unwrap();
-        let csv = to_csv(&trace).unwrap();
+        let csv = to_csv(&trace, &[]).unwrap();
         let mut reader = csv::Reader::from_reader(csv.as_slice());
         let parquet =
-            SerializedFileReader::new(bytes::Bytes::from(to_parquet(&trace).unwrap())).unwrap();
+            SerializedFileReader::new(bytes::Bytes::from(to_parquet(&trace, &[]).unwrap()))
+                .unwrap();
         let mut count = 0;
         for (index, (from_csv, from_parquet)) in reader
             .records()

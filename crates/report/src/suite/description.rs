@@ -1,8 +1,8 @@
 //! Descriptions of the results of a suite.
 
 use crumple_suites::{
-    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Prevention, SweepFailure,
-    TestVerdict, WorstInTolerance,
+    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Origin, Prevention,
+    SweepFailure, TestParameter, TestParameters, TestVerdict, WarningOrigin, WorstInTolerance,
 };
 
 pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
@@ -14,8 +14,18 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
         } => {
             format!("FAILED, collision at {time_s:.2} s with {impact_speed_mps:.1} m/s")
         }
-        TestVerdict::Braked { max_brake_mps2 } => {
-            format!("FAILED: brakes with {max_brake_mps2:.1} m/s² although nothing is in the way")
+        TestVerdict::Braked {
+            max_brake_mps2,
+            is_beyond_manual,
+        } => {
+            let beyond = if *is_beyond_manual {
+                " more than its driver"
+            } else {
+                ""
+            };
+            format!(
+                "FAILED: brakes with {max_brake_mps2:.1} m/s²{beyond} although nothing is in the way"
+            )
         }
         TestVerdict::ControllerFailed { time_s, reason } => {
             format!("CONTROLLER FAILED at {time_s:.2} s: {reason}")
@@ -42,7 +52,14 @@ pub(super) fn format_points(tested: &ControllerResult) -> String {
     if tested.points == 0 {
         String::new()
     } else {
-        format!(", {} of {} pass", tested.passed_points, tested.points)
+        let seeds = match tested.seeds {
+            1 => String::new(),
+            seeds => format!(", worst of {seeds} seeds at each point"),
+        };
+        format!(
+            ", {} of {} pass{seeds}",
+            tested.passed_points, tested.points
+        )
     }
 }
 
@@ -58,6 +75,42 @@ pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
         "passes if the impact is at most {value} {unit} ({})",
         origin.label()
     )
+}
+
+/// Describes the warning after which the driver brakes.
+pub(crate) fn describe_warning(warning: WarningOrigin) -> &'static str {
+    match warning {
+        WarningOrigin::Controller => "warning: reported by the controller",
+        WarningOrigin::Reference => {
+            "warning: reference warning of the suite, because the controller reports none"
+        }
+    }
+}
+
+/// Describes the parameters of a test: each with its values, unit and origin.
+pub(super) fn describe_parameters(parameters: &TestParameters) -> String {
+    let all: Vec<String> = parameters
+        .iter()
+        .map(|(kind, figure)| format!("{} {}", kind.label(), describe_parameter(figure)))
+        .collect();
+    all.join(", ")
+}
+
+fn describe_parameter(figure: &TestParameter) -> String {
+    let values: Vec<String> = figure.values.iter().map(f64::to_string).collect();
+    let values = match (figure.origin, values.as_slice()) {
+        (Origin::Ends, [first, .., last]) => format!("{first} to {last}"),
+        _ => values.join(" or "),
+    };
+    let tolerance = match figure.tolerance {
+        0.0 => String::new(),
+        tolerance => format!(" ± {tolerance}"),
+    };
+    let chosen = match figure.origin {
+        Origin::Chosen => " (chosen)",
+        Origin::Document | Origin::Ends => "",
+    };
+    format!("{values}{tolerance} {}{chosen}", figure.unit)
 }
 
 pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {

@@ -1,6 +1,8 @@
 //! The result of a suite as JUnit, for build servers.
 
-use super::description::{describe_min_margins, describe_verdict, describe_worst_in_tolerance};
+use super::description::{
+    describe_min_margins, describe_verdict, describe_warning, describe_worst_in_tolerance,
+};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 use crumple_suites::{ControllerResult, SuiteResult, TestResult, TestVerdict};
 
@@ -11,7 +13,7 @@ pub fn render_junit(result: &SuiteResult) -> String {
         let tests = clause.tests.iter().flat_map(|test| {
             test.controllers
                 .iter()
-                .map(move |tested| junit_case(test, tested))
+                .map(move |tested| junit_case(&result.suite, test, tested))
         });
         JunitSuite {
             name: format!("{} {}", result.suite, clause.clause),
@@ -22,13 +24,17 @@ pub fn render_junit(result: &SuiteResult) -> String {
     junit::render_xml("crumple suite", &suites.collect::<Vec<_>>())
 }
 
-fn junit_case(test: &TestResult, tested: &ControllerResult) -> JunitCase {
+fn junit_case(suite: &str, test: &TestResult, tested: &ControllerResult) -> JunitCase {
     let within = tested
         .worst_in_tolerance
         .as_ref()
         .filter(|within| within.verdict.is_failure());
     JunitCase {
+        class: format!("crumple.suites.{suite}.{}", tested.controller),
         name: format!("{}: {}", test.name, tested.controller),
+        file: None,
+        verifier: test.name.clone(),
+        requirements: test.requirement.clone(),
         status: match &tested.verdict {
             TestVerdict::Passed if within.is_none() => JunitStatus::Passed,
             TestVerdict::Passed | TestVerdict::Failed { .. } | TestVerdict::Braked { .. } => {
@@ -42,6 +48,16 @@ fn junit_case(test: &TestResult, tested: &ControllerResult) -> JunitCase {
             Some(within) => Some(describe_worst_in_tolerance(within)),
             None => None,
         },
-        output: describe_min_margins(&tested.margins).join("\n"),
+        output: describe_output(tested),
     }
+}
+
+/// Describes the warning, if the driver brakes after one, and the margins.
+fn describe_output(tested: &ControllerResult) -> String {
+    let warning = tested.warning.map(describe_warning).map(str::to_owned);
+    let lines: Vec<String> = warning
+        .into_iter()
+        .chain(describe_min_margins(&tested.margins))
+        .collect();
+    lines.join("\n")
 }

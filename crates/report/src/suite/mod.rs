@@ -9,10 +9,11 @@ use std::fmt::Write;
 use crumple_core::quoting::TerminalText;
 use crumple_suites::{ControllerResult, FailedPoint, SuiteResult, TestResult};
 
-use description::describe_outcome;
 pub(crate) use description::{
-    describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
+    describe_min_margins, describe_preventability, describe_verdict, describe_warning,
+    describe_worst_in_tolerance,
 };
+use description::{describe_outcome, describe_parameters};
 pub use junit::render_junit;
 pub use table::render_markdown_table;
 
@@ -67,6 +68,10 @@ fn write_test(
         " (some parameters are chosen)"
     };
     let _ = writeln!(out, "  {}{chosen}", test.name);
+    let parameters = describe_parameters(&test.parameters);
+    if !parameters.is_empty() {
+        let _ = writeln!(out, "    {parameters}");
+    }
     if let Some(limit) = &test.impact_at_most {
         let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
     }
@@ -86,6 +91,9 @@ fn write_controller_result(out: &mut String, tested: &ControllerResult) {
         TerminalText(&describe_outcome(tested)),
         description::format_points(tested)
     );
+    if let Some(warning) = tested.warning {
+        let _ = writeln!(out, "      {}", describe_warning(warning));
+    }
     for line in describe_min_margins(&tested.margins) {
         let _ = writeln!(out, "      {line}");
     }
@@ -97,9 +105,12 @@ fn write_controller_result(out: &mut String, tested: &ControllerResult) {
 
 fn write_failed_point(out: &mut String, failed: &FailedPoint, replay: Option<String>) {
     let verdict = describe_verdict(&failed.verdict);
+    let seeds = failed.failed_seeds.map_or_else(String::new, |failed| {
+        format!(" (fails with {failed} seeds)")
+    });
     let _ = writeln!(
         out,
-        "      fails at {}: {}",
+        "      fails at {}: {}{seeds}",
         failed.point,
         TerminalText(&verdict)
     );

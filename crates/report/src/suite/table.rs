@@ -2,7 +2,9 @@
 
 use super::description::min_margins;
 use crumple_core::markdown::Markdown;
-use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResult, TestVerdict};
+use crumple_suites::{
+    ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResult, TestVerdict, WarningOrigin,
+};
 
 /// Renders one row per test and one column per controller: passed points of the grid, the highest impact speed, and the
 /// margin in the first direction of a test that passes.
@@ -10,7 +12,11 @@ use crumple_suites::{ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResul
 pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     let tests: Vec<_> = results
         .iter()
-        .flat_map(|result| result.tests().map(move |(_, test)| (result, test)))
+        .flat_map(|result| {
+            result
+                .tests()
+                .map(move |(clause, test)| (result, clause, test))
+        })
         .collect();
     let mut text = Markdown::default();
     text.heading(1, "Suites modelled on regulations");
@@ -20,29 +26,60 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
          cannot be run. Then \
          the number of passed points, and the fastest impact or the smallest margin in the first direction.",
     );
-    let Some((_, first)) = tests.first() else {
+    let Some((_, _, first)) = tests.first() else {
         return text.into_string();
     };
     let names = first
         .controllers
         .iter()
         .map(|tested| tested.controller.clone());
-    let header: Vec<String> = ["suite", "test"]
+    let header: Vec<String> = ["suite", "clause", "test"]
         .map(str::to_owned)
         .into_iter()
         .chain(names)
         .collect();
     let columns = vec!["---"; header.len()];
-    let rows = tests.iter().map(|(result, test)| {
+    let rows = tests.iter().map(|(result, clause, test)| {
         let chosen = if test.is_as_stated { "" } else { "*" };
-        let head = [result.suite.clone(), format!("{}{chosen}", test.name)];
+        let head = [
+            result.suite.clone(),
+            clause.clause.clone(),
+            format!("{}{chosen}", test.name),
+        ];
         head.into_iter()
-            .chain(test.controllers.iter().map(format_cell))
+            .chain(test.controllers.iter().map(format_marked_cell))
             .collect()
     });
     text.table(&header, &columns, rows);
     text.paragraph("*: some parameters are chosen, because the document does not state them.");
+    let warnings = tests.iter().flat_map(|(_, _, test)| &test.controllers);
+    if warnings
+        .filter_map(|tested| tested.warning)
+        .any(is_reference)
+    {
+        text.paragraph(
+            "†: the driver brakes after the reference warning of the suite, because the controller reports none.",
+        );
+    }
     text.into_string()
+}
+
+fn is_reference(warning: WarningOrigin) -> bool {
+    warning == WarningOrigin::Reference
+}
+
+/// Returns the cell of a controller; `†` marks the reference warning.
+fn format_marked_cell(tested: &ControllerResult) -> String {
+    let mark = if tested.warning.is_some_and(is_reference) {
+        " †"
+    } else {
+        ""
+    };
+    let seeds = match tested.seeds {
+        1 => String::new(),
+        seeds => format!(", worst of {seeds} seeds"),
+    };
+    format_cell(tested) + &seeds + mark
 }
 
 fn format_cell(tested: &ControllerResult) -> String {

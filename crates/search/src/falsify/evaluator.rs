@@ -59,7 +59,7 @@ impl Evaluator<'_> {
         );
         let run = Run::new(
             scenario,
-            options.with_after_contact(self.specification.after_contact()),
+            options.with_after_collision(self.specification.after_collision()),
         )
         .ok()?;
         simulate(&run, RecordingLevel::Summary)
@@ -77,7 +77,7 @@ impl Evaluator<'_> {
             let options = run_options(controller, self.estimator, scenario, *parts);
             Run::new(
                 scenario,
-                options.with_after_contact(self.specification.after_contact()),
+                options.with_after_collision(self.specification.after_collision()),
             )
         });
         let mut runs = Vec::new();

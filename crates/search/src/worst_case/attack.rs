@@ -151,6 +151,9 @@ pub enum AttackError {
     Run(#[from] RunError),
 }
 
+/// Maximum number of simulations of an [`attack()`] that a user may request.
+pub const MAX_SIMULATIONS: u32 = 10_000_000;
+
 /// Maximum number of vehicles times steps in [`attack()`]: a simulation then takes some hundredths of a second.
 pub const MAX_VEHICLE_STEPS: usize = 500_000;
 

@@ -118,12 +118,12 @@ impl AttackReport {
             Some(Outcome::ControllerFailed(failed)) => {
                 format!("  CONTROLLER FAILED and gave no valid command: {failed}\n")
             }
-            Some(Outcome::Collision(contact)) => format!(
+            Some(Outcome::Collision(collision)) => format!(
                 "  COLLISION at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s\n",
-                contact.time_s,
-                contact.rear_vehicle,
-                contact.front_vehicle,
-                contact.impact_speed_mps
+                collision.time_s,
+                collision.rear_vehicle,
+                collision.front_vehicle,
+                collision.impact_speed_mps
             ),
             Some(Outcome::NoCollision) | None => String::new(),
         }

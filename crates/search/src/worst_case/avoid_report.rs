@@ -11,8 +11,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "the largest smallest gap found on this grid, over all trigger times of \
-    the follower's emergency brake";
+const LARGEST_GAP: &str = "no larger smallest gap was found on this grid, over all trigger times of the follower's \
+    emergency brake";
 
 /// Report of an analysis of avoidability.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -91,6 +91,7 @@ impl<'a> AvoidReport<'a> {
             self.bound_line(),
             self.emergency_brake_line(),
             self.effort_line(),
+            self.escape_is_best_for.clone(),
             self.multi_body_line(),
             self.reason.map(ToString::to_string),
             Some(format!("{} convex programs", self.programs)),
@@ -137,9 +138,8 @@ impl<'a> AvoidReport<'a> {
     }
 
     fn effort_line(&self) -> Option<String> {
-        let criterion = self.escape_is_best_for.as_ref()?;
         let effort = self.effort_m2ps3?;
-        Some(format!("∫a² of the escape {effort:.1} m²/s³: {criterion}"))
+        Some(format!("effort of the escape: ∫a² {effort:.1} m²/s³"))
     }
 
     fn multi_body_line(&self) -> Option<String> {
@@ -167,8 +167,8 @@ fn criterion(found_by: FoundBy) -> String {
     match found_by {
         FoundBy::Programs => LARGEST_GAP.to_owned(),
         FoundBy::ClosedLoop { simulations } => format!(
-            "the largest smallest gap with the drivers of all other vehicles in the loop, best of {simulations} \
-             simulated profiles"
+            "no larger smallest gap was found in {simulations} simulated profiles, with the drivers of all other \
+             vehicles in the loop"
         ),
     }
 }

@@ -41,8 +41,8 @@ mod sensor_report;
 mod sequential;
 
 pub use attack::{
-    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
-    MAX_VEHICLE_STEPS, attack,
+    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_SIMULATIONS,
+    MAX_TOTAL_VEHICLE_STEPS, MAX_VEHICLE_STEPS, attack,
 };
 pub use attack_report::AttackReport;
 pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};

@@ -135,7 +135,7 @@ impl ProfileOutcome {
     pub(super) fn from_simulated(simulated: &SimulationResult) -> Self {
         let margin_m = match &simulated.outcome {
             Outcome::ControllerFailed(_) => -impact_depth_m(MAX_IMPACT_SPEED_MPS),
-            Outcome::Collision(contact) => -impact_depth_m(contact.impact_speed_mps),
+            Outcome::Collision(collision) => -impact_depth_m(collision.impact_speed_mps),
             Outcome::NoCollision => simulated
                 .vehicles
                 .iter()
@@ -155,7 +155,7 @@ impl ProfileOutcome {
     pub(super) fn end_time_s(&self) -> Option<f64> {
         match &self.outcome {
             Outcome::NoCollision => None,
-            Outcome::Collision(contact) => Some(contact.time_s),
+            Outcome::Collision(collision) => Some(collision.time_s),
             Outcome::ControllerFailed(failed) => Some(failed.time_s),
         }
     }

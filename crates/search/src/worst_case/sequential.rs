@@ -25,7 +25,7 @@ const MIN_GAIN: f64 = 1e-4;
 /// Margins that a step to a milder collision aims at, in metres.
 const STEP_MARGINS_M: [f64; 4] = [-1e-3, -0.05, -0.3, -1.0];
 /// Time after a collision that is still covered by the knots before it, in seconds.
-const CONTACT_TAIL_S: f64 = 0.3;
+const COLLISION_TAIL_S: f64 = 0.3;
 
 /// A profile, one acceleration per cell, and its simulation.
 #[derive(Debug, Clone)]
@@ -232,7 +232,7 @@ impl AttackSearch<'_, '_> {
         trust_region_mps2: f64,
         phase: f64,
     ) -> Result<Option<Descent>, AttackError> {
-        let hats = HatFunctions::new(self.simulator, at.until_s + CONTACT_TAIL_S, phase);
+        let hats = HatFunctions::new(self.simulator, at.until_s + COLLISION_TAIL_S, phase);
         let gradient = self.gradient(at, &hats)?;
         let step = EnvelopeStep {
             profile_mps2: &at.cells_mps2,

@@ -5,7 +5,7 @@ use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
 /// Time to collision below which the paper's emergency brake fires, in seconds (algorithm 2).
-pub(super) const FIRING_TTC_S: f64 = 1.4;
+pub(crate) const FIRING_TTC_S: f64 = 1.4;
 
 settings! {
     /// Settings of the emergency brake of the baseline controllers.

@@ -41,6 +41,11 @@ pub trait BuiltIn {
         None
     }
 
+    /// Returns true if commands depend on the seed of [`Self::start`].
+    fn acts_at_random(_settings: &Self::Settings) -> bool {
+        false
+    }
+
     /// Creates a controller for a vehicle. `seed` is the scenario's.
     fn start(settings: &Self::Settings, ego: &Ego, seed: u64) -> Self::Driver;
 }
@@ -95,11 +100,28 @@ macro_rules! define {
                 }
             }
 
+            #[inline]
+            fn perceive(&mut self, truth: &Observation) {
+                match self {
+                    $(Self::$rule(controller) => controller.perceive(truth),)*
+                    Self::Policy(controller) => controller.perceive(truth),
+                    Self::Other(controller) => controller.perceive(truth),
+                }
+            }
+
             fn record_command(&mut self, command_mps2: f64) {
                 match self {
                     $(Self::$rule(controller) => controller.record_command(command_mps2),)*
                     Self::Policy(controller) => controller.record_command(command_mps2),
                     Self::Other(controller) => controller.record_command(command_mps2),
+                }
+            }
+
+            fn is_warning(&self) -> bool {
+                match self {
+                    $(Self::$rule(controller) => controller.is_warning(),)*
+                    Self::Policy(controller) => controller.is_warning(),
+                    Self::Other(controller) => controller.is_warning(),
                 }
             }
 
@@ -123,7 +145,7 @@ macro_rules! define {
 }
 with_controllers!(define);
 
-fn describe_known_settings(fields: &[SettingField]) -> String {
+pub(super) fn describe_known_settings(fields: &[SettingField]) -> String {
     match fields {
         [] => "it has none".to_owned(),
         [first, ..] => {
@@ -147,8 +169,26 @@ impl BuiltInController {
             .find(|controller| controller.name() == name)
     }
 
-    /// Parses a built-in controller from the command line: a name, and settings that differ from the default, each
-    /// after a comma (`acc-aeb,ttc_s=2.0`). Returns `None` if the name is not built in.
+    /// Iterates over all presets: [`CONTROLLER_PRESETS`], then [`CRUISE_PRESETS`].
+    pub fn presets() -> impl Iterator<Item = &'static ControllerPreset> {
+        CONTROLLER_PRESETS.iter().chain(&CRUISE_PRESETS)
+    }
+
+    /// Returns the preset with this name.
+    #[must_use]
+    pub fn from_preset(name: &str) -> Option<Self> {
+        let preset = Self::presets().find(|preset| preset.name == name)?;
+        Some(preset.controller.clone())
+    }
+
+    /// Returns the built-in controller with this name, with its default settings, or the preset with this name.
+    #[must_use]
+    pub fn from_name_or_preset(name: &str) -> Option<Self> {
+        Self::from_name(name).or_else(|| Self::from_preset(name))
+    }
+
+    /// Parses a built-in controller from the command line: its name or that of a preset, and settings that differ
+    /// from it, each after a comma (`acc-aeb,ttc_s=2.0`). Returns `None` if the name is not built in.
     ///
     /// ```
     /// use crumple_sim::control::BuiltInController;
@@ -160,8 +200,8 @@ impl BuiltInController {
     #[must_use]
     pub fn parse(words: &str) -> Option<Result<Self, InvalidSetting>> {
         let mut words = words.split(',');
-        let spec = Self::from_name(words.next()?)?;
-        Some(spec.with_settings(words))
+        let name = words.next()?;
+        Some(Self::from_name_or_preset(name)?.with_settings(words))
     }
 
     /// Returns this controller with settings that texts such as `ttc_s=2.0` state.
@@ -190,18 +230,46 @@ impl BuiltInController {
         Ok(self)
     }
 
+    /// Returns the preset with these settings.
+    fn preset(&self) -> Option<&'static ControllerPreset> {
+        Self::presets().find(|preset| preset.controller == *self)
+    }
+
+    /// Returns the name of the preset with these settings.
+    #[must_use]
+    pub fn preset_name(&self) -> Option<&'static str> {
+        Some(self.preset()?.name)
+    }
+
     /// Returns the text that [`Self::parse`] parses to this; equal specifications have the same text.
     #[must_use]
     pub fn to_arg(&self) -> String {
+        if let Some(name) = self.preset_name() {
+            return name.to_owned();
+        }
+        let changed = self.changed_settings().into_iter();
+        changed.fold(self.name().to_owned(), |words, (name, value, _)| {
+            format!("{words},{name}={value}")
+        })
+    }
+
+    /// Returns name, value and default of each setting that differs from its default.
+    fn changed_settings(&self) -> Vec<(&'static str, f64, f64)> {
         let default = Self::from_name(self.name());
         let default = default.iter().flat_map(Self::values);
-        let set = self
-            .values()
+        self.values()
             .zip(default)
-            .filter(|(own, default)| own.1 != default.1);
-        set.fold(self.name().to_owned(), |words, ((field, value), _)| {
-            format!("{words},{}={value}", field.name)
-        })
+            .filter(|(own, default)| own.1 != default.1)
+            .map(|((field, value), (_, default))| (field.name, value, default))
+            .collect()
+    }
+
+    /// Returns those of [`Self::all`] that drive, without those that serve tests and comparisons.
+    #[must_use]
+    pub fn all_that_drive() -> Vec<Self> {
+        let mut controllers = Self::all();
+        controllers.retain(|controller| !CONTROLLERS_FOR_TESTS.contains(&controller.name()));
+        controllers
     }
 
     /// Returns the name in files and on the command line, without settings.
@@ -283,12 +351,33 @@ impl ControllerSource for BuiltInController {
         true
     }
 
+    fn acts_at_random(&self) -> bool {
+        of_row!(self, |Row, settings| Row::acts_at_random(settings))
+    }
+
     fn interval_s(&self) -> Option<f64> {
         Self::policy(self).map(|policy| policy.header().decision_interval_s)
     }
 
+    /// The summary states default values, so that changed settings follow.
     fn description(&self) -> String {
-        self.summary().to_owned()
+        if let Some(preset) = self.preset() {
+            return preset.summary.to_owned();
+        }
+        let changed: Vec<_> = self
+            .changed_settings()
+            .into_iter()
+            .map(|(name, value, default)| format!("{name} = {value} instead of {default}"))
+            .collect();
+        match changed.as_slice() {
+            [] => self.summary().to_owned(),
+            _ => format!("{}, but with {}", self.summary(), changed.join(", ")),
+        }
+    }
+
+    fn warnings(&self) -> Vec<String> {
+        let domain = self.preset().and_then(|preset| preset.domain);
+        domain.into_iter().map(str::to_owned).collect()
     }
 
     fn policy(&self) -> Option<Arc<Policy>> {

@@ -20,6 +20,9 @@
 //! Maddox and Kiefer 2012 find thresholds of perception of 0.012 to 0.040 rad/s in accidents, Markkula et al. 2016
 //! reactions below 1 s once a situation is urgent. A study must vary these values.
 //!
+//! The driver perceives the true state, also in a vehicle under test; only its emergency brake observes through the
+//! sensors and the filter.
+//!
 //! Not modelled: anticipation beyond the leader, headlights and weather, evasive steering, age and impairment.
 
 use rand::RngExt;
@@ -35,9 +38,9 @@ use crate::settings::settings;
 /// Width of a vehicle ahead, in metres, of which the driver perceives the visual angle.
 const WIDTH_M: f64 = 1.8;
 /// Deceleration that the brake lights show, in m/s² (UN R13-H, 5.2.22: not below 0.7, always above 1.3).
-const BRAKE_LIGHT_MPS2: f64 = 1.0;
+pub(super) const BRAKE_LIGHT_MPS2: f64 = 1.0;
 /// Deceleration with the foot off both pedals, in m/s².
-const COASTING_MPS2: f64 = 0.5;
+pub(super) const COASTING_MPS2: f64 = 0.5;
 /// Shortest time gap that a driver keeps on purpose, in seconds.
 const MIN_TIME_GAP_S: f64 = 0.3;
 /// Limits of the braking level of any driver, in m/s².
@@ -93,6 +96,8 @@ struct HumanState {
     /// Steps until the eyes are on the road again.
     glance_steps: u32,
     held_mps2: f64,
+    /// True state of this step, if the observation is an estimate.
+    perceived: Option<Observation>,
 }
 
 impl BuiltIn for Human {
@@ -102,6 +107,10 @@ impl BuiltIn for Human {
     type Settings = HumanSettings;
     type Driver = Self;
 
+    fn acts_at_random(_settings: &HumanSettings) -> bool {
+        true
+    }
+
     fn start(settings: &HumanSettings, ego: &Ego, seed: u64) -> Self {
         let mut stream = stream(seed, Purpose::HumanDriver, ego.vehicle as u64);
         let level_mps2 = settings.brake_mps2
@@ -110,12 +119,13 @@ impl BuiltIn for Human {
         Self(Box::new(HumanState {
             step_s: ego.step_s,
             idm: None,
-            aeb: HeldBrake::new(settings.aeb_ttc_s, settings.aeb_brake_mps2, ego),
+            aeb: HeldBrake::new(settings.aeb_ttc_s, settings.aeb_brake_mps2),
             reaction_share: log_normal(&mut stream, shape) * libm::exp(-0.5 * shape * shape),
             brake_mps2: level_mps2.clamp(BRAKE_RANGE_MPS2[0], BRAKE_RANGE_MPS2[1]),
             steps_to_brake: None,
             glance_steps: 0,
             held_mps2: 0.0,
+            perceived: None,
             settings: settings.clone(),
             stream,
         }))
@@ -156,7 +166,7 @@ impl HumanState {
     }
 
     /// Updates the reaction to the vehicle ahead. Returns its speed as perceived, in m/s.
-    fn perceive(&mut self, speed_mps: f64, ahead: &Neighbour) -> f64 {
+    fn react_to(&mut self, speed_mps: f64, ahead: &Neighbour) -> f64 {
         let closing_mps = speed_mps - ahead.speed_mps;
         let expansion = Self::expansion_rad_per_s(closing_mps, ahead.gap_m);
         let threshold = self.settings.looming_rad_per_s;
@@ -200,14 +210,20 @@ impl HumanState {
 
 impl Controller for Human {
     #[inline]
+    fn perceive(&mut self, truth: &Observation) {
+        self.0.perceived = Some(*truth);
+    }
+
+    #[inline]
     fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         let driver = &mut *self.0;
-        let model = driver.model(observation.speed_mps, observation.ahead.as_ref());
         let emergency_mps2 = driver.aeb.demand_mps2(observation);
+        let road = driver.perceived.take().unwrap_or(*observation);
+        let model = driver.model(road.speed_mps, road.ahead.as_ref());
         if driver.looks_ahead() {
-            let ahead = observation
+            let ahead = road
                 .ahead
-                .map(|ahead| [ahead.gap_m, driver.perceive(observation.speed_mps, &ahead)]);
+                .map(|ahead| [ahead.gap_m, driver.react_to(road.speed_mps, &ahead)]);
             if ahead.is_none() {
                 driver.steps_to_brake = None;
             }
@@ -217,7 +233,7 @@ impl Controller for Human {
                 COASTING_MPS2
             };
             driver.held_mps2 = model
-                .acceleration_mps2(observation.speed_mps, ahead)
+                .acceleration_mps2(road.speed_mps, ahead)
                 .max(-strongest_mps2);
         }
         Ok(emergency_mps2.map_or(driver.held_mps2, |brake_mps2| {

@@ -76,6 +76,7 @@ mod batch_query;
 mod built_in;
 mod competent_human;
 mod constant_brake;
+mod cruise_preset;
 mod decision_timer;
 mod emergency_brake;
 mod fuzzy_safety;
@@ -85,6 +86,7 @@ mod match_leader;
 mod openpilot;
 mod policy;
 mod predictive;
+mod preset;
 mod process_failure;
 mod r157_simple;
 mod reaction;
@@ -97,17 +99,21 @@ mod source_file;
 mod start_refusal;
 mod stateless;
 mod stress;
+mod test_driver;
+mod two_sided;
 mod zero_order_hold;
 
 pub use crate::observation::ObservedQuantity;
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use autoware_aeb::{AutowareAeb, AutowareAebSettings};
+pub(crate) use baseline::FIRING_TTC_S;
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub use batch_query::{BatchQuery, decide_by_query};
 pub(crate) use built_in::AnyController;
 pub use built_in::{BuiltIn, BuiltInController, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
+pub use cruise_preset::CRUISE_PRESETS;
 pub use decision_timer::DecisionTimer;
 pub use emergency_brake::{EmergencyBrake, EmergencyBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
@@ -116,14 +122,15 @@ pub use match_leader::MatchLeader;
 pub use openpilot::{Openpilot, OpenpilotSettings};
 pub use policy::{PolicyDriver, PolicySource, ReferencePolicy, RetrainedPolicy, RoadPolicy};
 pub use predictive::{Predictive, PredictiveSettings};
+pub use preset::{CONTROLLER_PRESETS, ControllerPreset};
 pub use process_failure::{PROTOCOL_VERSION, ProcessFailure, ProcessProblem, escaped_excerpt};
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use serve::{ServingError, serve};
 pub use shield::{
-    ErrorBounds, MIN_MARGIN_M, Override, Real, RearVehicleParams, ShieldParams, ShieldRefusal,
-    ShieldSettings, ShieldState, ShieldedSource, ViabilityKernel, distance_and_speed_after,
-    max_closing_m,
+    ErrorBounds, FiringRule, FiringSpeeds, MIN_MARGIN_M, MotionSample, Override, Real,
+    RearVehicleParams, ShieldKind, ShieldParams, ShieldRefusal, ShieldSettings, ShieldState,
+    ShieldedSource, ViabilityKernel, distance_and_speed_after, max_closing_m, min_quadratic,
 };
 pub(crate) use shield::{MAX_MARGIN_M, MotionBounds};
 pub use source::{
@@ -135,6 +142,12 @@ pub use source_file::SourceFile;
 pub use start_refusal::StartRefusal;
 pub use stateless::{StatelessController, stateless};
 pub use stress::{FullThrottle, RandomActions};
+pub use test_driver::{TestDriverSettings, TestDriverSource};
+pub use two_sided::{
+    CREEP_SPEED_MPS, CommandsAfterFiring, FollowerClass, FollowerPhase, FollowerTrigger,
+    LevelMeter, MAX_LEVEL_MPS2, NOTICED_BRAKE_MPS2, PlanCommands, RearErrorBounds, TwoSidedFilter,
+    TwoSidedParams, TwoSidedSettings,
+};
 pub(crate) use with_controllers;
 
 pub use crate::idm::{Idm, IdmSettings};
@@ -181,6 +194,12 @@ pub trait Controller: Send {
     /// [`ControllerFailure`] if there is no answer; the run ends there.
     fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure>;
 
+    /// Receives the true state of a step, before the controller decides on an estimate. Only models of humans use it:
+    /// a human looks at the road, not through the sensors of the vehicle. Not called if the observation is the true
+    /// state. A controller around another one passes it on.
+    #[inline]
+    fn perceive(&mut self, _truth: &Observation) {}
+
     /// Tells the controller that another acceleration than its answer is commanded in this step, in m/s², because a
     /// shield replaces it, or because the controller is only consulted (training, replay of a recording). A controller
     /// that learns from the effect of its commands needs this. Called after [`decide`](Self::decide) and before the
@@ -189,6 +208,12 @@ pub trait Controller: Send {
     ///
     /// Networks, policies, processes and FMUs receive the command as their input `last_answer_mps2`, if they have it.
     fn record_command(&mut self, _command_mps2: f64) {}
+
+    /// Returns true while the controller warns its driver of a forward collision, after its last decision. Read only if
+    /// its source [reports warnings](ControllerSource::reports_warnings).
+    fn is_warning(&self) -> bool {
+        false
+    }
 
     /// Returns the controller as one whose queries can be combined, if it is one.
     fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {
@@ -225,8 +250,16 @@ impl Controller for Box<dyn Controller> {
         (**self).decide(observation)
     }
 
+    fn perceive(&mut self, truth: &Observation) {
+        (**self).perceive(truth);
+    }
+
     fn record_command(&mut self, command_mps2: f64) {
         (**self).record_command(command_mps2);
+    }
+
+    fn is_warning(&self) -> bool {
+        (**self).is_warning()
     }
 
     fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {

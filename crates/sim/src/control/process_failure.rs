@@ -12,6 +12,16 @@ pub const PROTOCOL_VERSION: u64 = 1;
 /// Maximum number of characters quoted from text of a process.
 const MAX_CHARACTERS: usize = 300;
 
+/// Describes the end of a process by its [`ProcessProblem::Ended::status`].
+fn describe_end(status: &str) -> String {
+    let itself = if status.starts_with("exit code") {
+        "itself with "
+    } else {
+        ""
+    };
+    format!("{itself}{status}")
+}
+
 /// An error of a controller process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -25,7 +35,7 @@ pub enum ProcessProblem {
         reason: String,
     },
     /// The process ended while it was needed.
-    #[error("ended by {status}")]
+    #[error("ended by {}", describe_end(status))]
     Ended {
         /// Exit code, or the signal that ended the process.
         status: String,

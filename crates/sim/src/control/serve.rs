@@ -95,7 +95,11 @@ impl Session {
             };
             self.inputs = inputs;
             let count = self.inputs.len();
-            let hello = json!({"crumple": 1, "name": name, "deterministic": true, "inputs": count});
+            let mut hello =
+                json!({"crumple": 1, "name": name, "deterministic": true, "inputs": count});
+            if source.reports_warnings() {
+                hello["warns"] = true.into();
+            }
             return Ok(Some(with_interval(hello, source.interval_s())));
         }
         if let Some(seed) = query["reset"]["seed"].as_u64() {
@@ -115,7 +119,11 @@ impl Session {
             return Ok(None);
         };
         let command_mps2 = controller.decide(&observation)?;
-        Ok(Some(json!({"id": id, "acceleration_mps2": command_mps2})))
+        let mut decision = json!({"id": id, "acceleration_mps2": command_mps2});
+        if source.reports_warnings() {
+            decision["warning"] = controller.is_warning().into();
+        }
+        Ok(Some(decision))
     }
 
     /// Returns the vehicle of the controller, as the first message describes it.

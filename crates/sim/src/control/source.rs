@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::zero_order_hold::ZeroOrderHold;
 use super::{
     BuiltInController, Controller, Ego, ProcessFailure, ShieldParams, ShieldRefusal,
-    ShieldSettings, ShieldedSource, SourceFile,
+    ShieldSettings, ShieldedSource, SourceFile, TwoSidedParams, TwoSidedSettings,
 };
 use crate::observation::Observation;
 use crate::policy::Policy;
@@ -113,10 +113,19 @@ pub trait ControllerSource: Any + Send + Sync {
     /// [`ControllerFailure`] if it cannot drive; the run then ends before its first step.
     fn start(&self, ego: &Ego, seed: u64) -> Result<Box<dyn Controller>, ControllerFailure>;
 
+    /// Returns the source that this one changes, for example behind a shield. The other methods then have its answers
+    /// as defaults, except [`start`](Self::start), [`start_in_run`](Self::start_in_run),
+    /// [`check_vehicle`](Self::check_vehicle), [`holds_answers`](Self::holds_answers),
+    /// [`batch_controller`](Self::batch_controller), [`description`](Self::description) and
+    /// [`as_shield`](Self::as_shield).
+    fn inner(&self) -> Option<&dyn ControllerSource> {
+        None
+    }
+
     /// Returns the time between decisions in seconds, a multiple of the scenario's step. `None` for every step, or if
     /// only a started process knows it.
     fn interval_s(&self) -> Option<f64> {
-        None
+        self.inner().and_then(|inner| inner.interval_s())
     }
 
     /// Returns true if its controllers decide at their interval, hold their answers in between, and check them.
@@ -126,7 +135,9 @@ pub trait ControllerSource: Any + Send + Sync {
 
     /// Returns the neighbours without which its controllers cannot drive; a run that lacks one is rejected.
     fn required_neighbours(&self) -> RequiredNeighbours {
-        RequiredNeighbours::Nothing
+        self.inner().map_or(RequiredNeighbours::Nothing, |inner| {
+            inner.required_neighbours()
+        })
     }
 
     /// Returns the batch controller for lockstep runs; `None` if each controller is queried by itself.
@@ -136,7 +147,7 @@ pub trait ControllerSource: Any + Send + Sync {
 
     /// Returns warnings, one line each.
     fn warnings(&self) -> Vec<String> {
-        Vec::new()
+        self.inner().map_or_else(Vec::new, |inner| inner.warnings())
     }
 
     /// Returns a description for reports, without the name.
@@ -146,33 +157,45 @@ pub trait ControllerSource: Any + Send + Sync {
 
     /// Returns the controller file, network or FMU that defines the mapping or the command, if there is one.
     fn file(&self) -> Option<&SourceFile> {
-        None
+        self.inner().and_then(|inner| inner.file())
     }
 
     /// Returns the policy, behind a shield or not.
     fn policy(&self) -> Option<Arc<Policy>> {
-        None
+        self.inner().and_then(|inner| inner.policy())
     }
 
     /// Returns true for a policy or an imported network, behind a shield or not.
     fn is_learned(&self) -> bool {
-        false
+        self.inner().is_some_and(|inner| inner.is_learned())
     }
 
     /// Returns true if its controllers may fail without a collision. Built-in rules, policies and networks cannot.
     fn can_fail(&self) -> bool {
-        true
+        self.inner().is_none_or(|inner| inner.can_fail())
+    }
+
+    /// Returns true if its controllers [warn](Controller::is_warning) their drivers. May start a program to learn it.
+    fn reports_warnings(&self) -> bool {
+        self.inner().is_some_and(|inner| inner.reports_warnings())
     }
 
     /// Returns the field of a [file](Self::file) that names the program, behind a shield or not; `None` without a
     /// program.
     fn program_field(&self) -> Option<&'static str> {
-        None
+        self.inner().and_then(|inner| inner.program_field())
     }
 
     /// Returns false for a program that its file or its handshake declares nondeterministic.
     fn is_deterministic(&self) -> bool {
-        true
+        self.inner().is_none_or(|inner| inner.is_deterministic())
+    }
+
+    /// Returns true if commands depend on the seed of the scenario, so that one run shows little. By default, this
+    /// holds for programs that are not deterministic.
+    fn acts_at_random(&self) -> bool {
+        self.inner()
+            .map_or_else(|| !self.is_deterministic(), |inner| inner.acts_at_random())
     }
 
     /// Starts the program without a run, and ends it.
@@ -180,17 +203,18 @@ pub trait ControllerSource: Any + Send + Sync {
     /// # Errors
     /// [`ControllerFailure`] of a program that cannot be started or does not complete the handshake.
     fn try_start(&self) -> Result<(), ControllerFailure> {
-        Ok(())
+        self.inner().map_or(Ok(()), |inner| inner.try_start())
     }
 
     /// Returns the reason to reject all runs of a program: it proved nondeterministic, or does not start any more.
     fn refusal(&self) -> Option<ControllerFailure> {
-        None
+        self.inner().and_then(|inner| inner.refusal())
     }
 
     /// Returns false if each run needs its own program, so that runs in lockstep would need many at once.
-    fn supports_lockstep(&self, _ego: &Ego) -> bool {
-        true
+    fn supports_lockstep(&self, ego: &Ego) -> bool {
+        self.inner()
+            .is_none_or(|inner| inner.supports_lockstep(ego))
     }
 
     /// Returns the shield that this source is, if it is one.
@@ -267,6 +291,15 @@ impl VehicleInRun<'_> {
     ) -> Result<ShieldParams, ShieldRefusal> {
         self.assumptions.shield_params(self.ego.vehicle, settings)
     }
+
+    /// Returns the parameters of a two-sided shield of this vehicle with these settings.
+    pub(crate) fn two_sided_params(
+        &self,
+        settings: &TwoSidedSettings,
+    ) -> Result<TwoSidedParams, ShieldRefusal> {
+        self.assumptions
+            .two_sided_params(self.ego.vehicle, settings)
+    }
 }
 
 /// Facts of a run about its vehicles, from which a shield computes its parameters.
@@ -277,6 +310,13 @@ pub(crate) trait ShieldAssumptions {
         vehicle: usize,
         settings: &ShieldSettings,
     ) -> Result<ShieldParams, ShieldRefusal>;
+
+    /// Returns the parameters of a two-sided shield of vehicle `vehicle` with these settings.
+    fn two_sided_params(
+        &self,
+        vehicle: usize,
+        settings: &TwoSidedSettings,
+    ) -> Result<TwoSidedParams, ShieldRefusal>;
 }
 
 /// A value that is, or stands for, a source of controllers: a built-in controller, a policy, or a shared source.

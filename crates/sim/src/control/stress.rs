@@ -46,6 +46,10 @@ impl BuiltIn for RandomActions {
     type Settings = NoSettings;
     type Driver = Self;
 
+    fn acts_at_random(_settings: &NoSettings) -> bool {
+        true
+    }
+
     fn start(_settings: &NoSettings, ego: &Ego, seed: u64) -> Self {
         Self {
             ego: *ego,

@@ -99,12 +99,20 @@ impl BatchQuery for ZeroOrderHold {
 }
 
 impl Controller for ZeroOrderHold {
+    fn perceive(&mut self, truth: &Observation) {
+        self.controller.perceive(truth);
+    }
+
     fn decide(&mut self, observation: &Observation) -> Result<f64, ControllerFailure> {
         decide_by_query(self, observation)
     }
 
     fn record_command(&mut self, command_mps2: f64) {
         self.controller.record_command(command_mps2);
+    }
+
+    fn is_warning(&self) -> bool {
+        self.controller.is_warning()
     }
 
     fn as_batch_query(&mut self) -> Option<&mut dyn BatchQuery> {

@@ -5,6 +5,8 @@
 //! - `lockstep/block` steps up to 64 runs of the same shape in SIMD lanes, for [`simulate_batch`].
 
 mod actuator;
+#[cfg(test)]
+mod after_collision_tests;
 mod lane;
 mod lockstep;
 mod motion;
@@ -25,8 +27,8 @@ pub use lockstep::simulate_batch;
 pub use motion::{Motion, closest_gap_m};
 pub use named::{NamedController, NotStarted, RefusedController};
 pub use outcome::{
-    AfterContact, Contact, FailedController, FailedControllerRuns, Impact, Outcome,
-    SimulationResult, VehicleSummary,
+    AfterCollision, Collision, FailedController, FailedControllerRuns, HELD_BRAKE_MPS2, Impact,
+    Outcome, SimulationResult, VehicleSummary,
 };
 pub use recorder::{RecordingLevel, ttc_s};
 pub use run::{OpenLoopController, Run, RunError, RunOptions};

@@ -68,11 +68,12 @@ pub(super) fn advance(x: f64, v: f64, a: f64, dt: f64) -> (f64, f64) {
     }
 }
 
-/// True if a step needs [`first_contact`] and [`closest_gap_m`]: the vehicles could collide, or are closest inside it.
+/// True if a step needs [`first_collision`] and [`closest_gap_m`]: the vehicles could collide in it, or are closest
+/// inside it.
 ///
 /// The gap shrinks by at most the distance that the follower covers at its higher end speed.
 #[inline]
-pub(super) fn needs_contact_check(
+pub(super) fn needs_collision_check(
     gap_m: f64,
     rear_mps: [f64; 2],
     closing_mps: [f64; 2],
@@ -81,7 +82,7 @@ pub(super) fn needs_contact_check(
     may_collide(gap_m, rear_mps, dt) | ((closing_mps[0] > 0.0) & (closing_mps[1] <= 0.0))
 }
 
-/// True if a step needs [`first_contact`], given the speeds of the rear vehicle at both ends.
+/// True if a step needs [`first_collision`], given the speeds of the rear vehicle at both ends.
 #[inline]
 pub(super) fn may_collide(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
     gap_m - rear_mps[0].max(rear_mps[1]) * dt <= 0.0
@@ -90,7 +91,7 @@ pub(super) fn may_collide(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
 /// Returns the first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less, if any.
 ///
 /// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
-pub(crate) fn first_contact(
+pub(crate) fn first_collision(
     front: Motion,
     rear: Motion,
     front_length_m: f64,
@@ -237,9 +238,9 @@ mod tests {
     }
 
     #[test]
-    fn contact_with_a_vehicle_that_stops_first() {
+    fn collision_with_a_vehicle_that_stops_first() {
         // The front vehicle stops after 0.5 s and 0.5 m; the rear one covers 1.5 m of gap plus that at 4 m/s in 0.5 s.
-        let time = first_contact(motion(3.5, 2.0, -4.0), motion(0.0, 4.0, 0.0), 2.0, 1.0);
+        let time = first_collision(motion(3.5, 2.0, -4.0), motion(0.0, 4.0, 0.0), 2.0, 1.0);
         assert!((time.unwrap() - 0.5).abs() < 1e-12, "{time:?}");
     }
 
@@ -248,7 +249,7 @@ mod tests {
         // The gap 1 - 2t + 2t² has its minimum 0.5 at t = 0.5.
         let (front, rear) = (motion(3.0, 10.0, 0.0), motion(0.0, 12.0, -4.0));
         assert!((closest_gap_m(front, rear, 2.0, 1.0) - 0.5).abs() < 1e-12);
-        assert_eq!(first_contact(front, rear, 2.0, 1.0), None);
+        assert_eq!(first_collision(front, rear, 2.0, 1.0), None);
     }
 
     prop_compose! {
@@ -268,7 +269,7 @@ mod tests {
             .expect("common");
         let front = motion(2.5, speed_mps, -b);
         let stands_m = front.after(10.0).position_m - 2.0;
-        let time_s = first_contact(front, motion(-40.0, 10.0, 0.0), 2.0, 10.0).unwrap();
+        let time_s = first_collision(front, motion(-40.0, 10.0, 0.0), 2.0, 10.0).unwrap();
         assert!(
             (time_s - (stands_m + 40.0) / 10.0).abs() < 1e-12,
             "{time_s}"
@@ -284,22 +285,22 @@ mod tests {
     }
 
     #[test]
-    fn steps_without_a_possible_collision_need_no_contact_check() {
+    fn steps_without_a_possible_collision_need_no_collision_check() {
         let (far_m, dt_s) = (50.0, 0.01);
         assert!(
-            !needs_contact_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s),
+            !needs_collision_check(far_m, [20.0, 20.0], [1.0, 1.0], dt_s),
             "closing throughout"
         );
         assert!(
-            !needs_contact_check(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s),
+            !needs_collision_check(far_m, [20.0, 20.0], [-1.0, -1.0], dt_s),
             "opening throughout"
         );
         assert!(
-            !needs_contact_check(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s),
+            !needs_collision_check(far_m, [20.0, 20.0], [-1.0, 1.0], dt_s),
             "farthest inside"
         );
         assert!(
-            needs_contact_check(far_m, [20.0, 20.0], [1.0, -1.0], dt_s),
+            needs_collision_check(far_m, [20.0, 20.0], [1.0, -1.0], dt_s),
             "closest inside"
         );
     }
@@ -308,12 +309,12 @@ mod tests {
         #![proptest_config(crumple_cases::with_cases(256))]
 
         #[test]
-        fn contact_and_closest_gap_agree_with_brute_force((front, rear, dt) in any_pair()) {
+        fn collision_and_closest_gap_agree_with_brute_force((front, rear, dt) in any_pair()) {
             let gap_at = |t: f64| front.after(t).position_m - 2.0 - rear.after(t).position_m;
             let grid: Vec<f64> = (0..=2000).map(|k| dt * f64::from(k) / 2000.0).collect();
             let crossing = grid.iter().position(|&t| gap_at(t) <= 0.0);
-            let contact = first_contact(front, rear, 2.0, dt);
-            match (contact, crossing) {
+            let collision = first_collision(front, rear, 2.0, dt);
+            match (collision, crossing) {
                 (Some(time), crossing) => {
                     prop_assert!(gap_at(time).abs() < 1e-9, "gap {} at contact", gap_at(time));
                     if let Some(crossing) = crossing {
@@ -335,8 +336,8 @@ mod tests {
             let gap = front.position_m - 2.0 - rear.position_m;
             let (f, r) = (front.after(dt), rear.after(dt));
             let closing = [rear.speed_mps - front.speed_mps, r.speed_mps - f.speed_mps];
-            if !needs_contact_check(gap, [rear.speed_mps, r.speed_mps], closing, dt) {
-                prop_assert_eq!(first_contact(front, rear, 2.0, dt), None);
+            if !needs_collision_check(gap, [rear.speed_mps, r.speed_mps], closing, dt) {
+                prop_assert_eq!(first_collision(front, rear, 2.0, dt), None);
                 prop_assert_eq!(closest_gap_m(front, rear, 2.0, dt), f.position_m - 2.0 - r.position_m);
             }
         }

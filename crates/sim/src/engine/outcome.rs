@@ -12,7 +12,7 @@ use crate::control::ControllerFailure;
 /// use crumple_sim::engine::Outcome;
 ///
 /// assert!(Outcome::NoCollision.is_safe());
-/// assert_eq!(Outcome::NoCollision.contact(), None);
+/// assert_eq!(Outcome::NoCollision.collision(), None);
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -21,7 +21,7 @@ pub enum Outcome {
     /// No collision within the duration of the scenario.
     NoCollision,
     /// The first collision.
-    Collision(Contact),
+    Collision(Collision),
     /// A controller gave no usable answer, and the run ended there. Earlier collisions are among the impacts.
     ControllerFailed(FailedController),
 }
@@ -106,9 +106,9 @@ impl FailedController {
 impl Outcome {
     /// Returns the first collision, if any.
     #[must_use]
-    pub fn contact(&self) -> Option<&Contact> {
-        if let Self::Collision(contact) = self {
-            Some(contact)
+    pub fn collision(&self) -> Option<&Collision> {
+        if let Self::Collision(collision) = self {
+            Some(collision)
         } else {
             None
         }
@@ -134,7 +134,7 @@ impl Outcome {
 /// A collision between two successive vehicles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Contact {
+pub struct Collision {
     /// Time of the collision, in seconds: the root of the gap inside the step.
     pub time_s: f64,
     /// Index of the front vehicle.
@@ -155,7 +155,7 @@ pub struct Contact {
 pub struct Impact {
     /// The collision.
     #[serde(flatten)]
-    pub contact: Contact,
+    pub collision: Collision,
     /// Common speed just after the impact, in m/s: momentum over mass.
     pub common_speed_mps: f64,
     /// Foremost vehicle involved.
@@ -178,10 +178,10 @@ impl Impact {
     #[must_use]
     pub fn delta_v_mps(&self, index: usize) -> f64 {
         match self.involves(index) {
-            true if index <= self.contact.front_vehicle => {
-                self.common_speed_mps - self.contact.front_speed_mps
+            true if index <= self.collision.front_vehicle => {
+                self.common_speed_mps - self.collision.front_speed_mps
             }
-            true => self.contact.rear_speed_mps - self.common_speed_mps,
+            true => self.collision.rear_speed_mps - self.common_speed_mps,
             false => 0.0,
         }
     }
@@ -191,12 +191,44 @@ impl Impact {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum AfterContact {
+pub enum AfterCollision {
     /// The run ends at the instant of the collision.
     #[default]
     Stop,
-    /// The vehicles continue as one body with common momentum, so that a pile-up can be counted.
+    /// The vehicles continue as one body with common momentum, so that a pile-up can be counted. Controllers decide
+    /// on, also by a gap of 0.
     Continue,
+    /// The run continues, but a vehicle that has hit its leader brakes at [`HELD_BRAKE_MPS2`] to standstill, and no
+    /// vehicle observes a follower that has hit it. Scripts keep their motion.
+    Hold,
+    /// The run continues like [`Hold`](Self::Hold), but a vehicle that has hit its leader neither brakes nor
+    /// accelerates.
+    Coast,
+}
+
+/// Deceleration of a vehicle that holds its brake after it has hit its leader, in m/s², positive; its own limit and
+/// the friction apply, too.
+///
+/// Source: Volkswagen, repair manual of the e-Golf 2017, automatic post-collision braking system (up to 6 m/s²). That
+/// system releases the brake at 10 km/h; here it is held.
+pub const HELD_BRAKE_MPS2: f64 = 6.0;
+
+impl AfterCollision {
+    /// Returns true if the run goes on.
+    #[must_use]
+    pub fn continues(self) -> bool {
+        self != Self::Stop
+    }
+
+    /// Returns the command of a vehicle that has hit its leader, in m/s²; `None` if its controller decides.
+    #[must_use]
+    pub fn command_after_impact_mps2(self) -> Option<f64> {
+        match self {
+            Self::Stop | Self::Continue => None,
+            Self::Hold => Some(-HELD_BRAKE_MPS2),
+            Self::Coast => Some(0.0),
+        }
+    }
 }
 
 /// Summary of the motion of one vehicle.

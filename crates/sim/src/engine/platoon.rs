@@ -1,8 +1,8 @@
 //! A lane of vehicles as bodies: joint motion through a step, and impacts.
 
 use super::lane::{Bodies, LaneInterval, LaneState};
-use super::motion::{Motion, closest_gap_given_ends_m, first_contact, needs_contact_check};
-use super::{AfterContact, Contact, Impact};
+use super::motion::{Motion, closest_gap_given_ends_m, first_collision, needs_collision_check};
+use super::{AfterCollision, Collision, Impact};
 
 const MAX_SHORT_LINE_VEHICLES: usize = 8;
 
@@ -38,10 +38,13 @@ impl PlatoonState {
         self.locked_to_front
             .get(index)
             .is_some_and(|&sticks| sticks)
-            || self
-                .lane
-                .behind(index)
-                .is_some_and(|rear| self.locked_to_front[rear])
+            || self.is_hit_from_behind(index)
+    }
+
+    pub(super) fn is_hit_from_behind(&self, index: usize) -> bool {
+        self.lane
+            .behind(index)
+            .is_some_and(|rear| self.locked_to_front[rear])
     }
 
     pub(super) fn track_gaps(&mut self) {
@@ -59,16 +62,16 @@ impl PlatoonState {
         &mut self,
         from_s: f64,
         dt_s: f64,
-        after_contact: AfterContact,
+        after_collision: AfterCollision,
         impacts: &mut Vec<Impact>,
     ) -> f64 {
-        if self.advance_contact_free(dt_s) {
+        if self.advance_collision_free(dt_s) {
             return dt_s;
         }
         let mut done_s = 0.0;
         let mut intervals = self.lane_intervals(from_s, dt_s);
         while let Some((in_s, [front, rear])) =
-            self.next_contact(intervals.as_deref(), dt_s - done_s)
+            self.next_collision(intervals.as_deref(), dt_s - done_s)
         {
             let before_impact = self.lane_intervals(from_s + done_s, in_s);
             self.advance_and_track_gaps(before_impact, in_s);
@@ -80,7 +83,7 @@ impl PlatoonState {
                 .filter(|&vehicle| impact.involves(vehicle))
                 .collect();
             impacts.push(impact);
-            if after_contact == AfterContact::Stop {
+            if after_collision == AfterCollision::Stop {
                 return done_s;
             }
             self.locked_to_front[rear] = true;
@@ -99,7 +102,7 @@ impl PlatoonState {
     /// and changes nothing if there are lane changes or locked vehicles, or if a collision or the minimum gap may be
     /// inside the step.
     #[inline]
-    fn advance_contact_free(&mut self, dt_s: f64) -> bool {
+    fn advance_collision_free(&mut self, dt_s: f64) -> bool {
         let mut ends = [Motion {
             position_m: 0.0,
             speed_mps: 0.0,
@@ -128,7 +131,7 @@ impl PlatoonState {
         {
             let [front, rear] = now else { continue };
             let [front_end, rear_end] = end else { continue };
-            match contact_free_end_gap_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
+            match collision_free_end_gap_m([front, rear], [front_end, rear_end], *length_m, dt_s) {
                 Some(end_m) if !is_locked => *gap_m = end_m,
                 _ => return false,
             }
@@ -156,21 +159,21 @@ impl PlatoonState {
     }
 
     /// Returns the earliest, foremost collision within `within_s` seconds: time, front and rear vehicle.
-    fn next_contact(
+    fn next_collision(
         &self,
         intervals: Option<&[LaneInterval]>,
         within_s: f64,
     ) -> Option<(f64, [usize; 2])> {
         match intervals {
-            None => self.first_contact_between(&self.lane, [0.0, within_s]),
+            None => self.first_collision_between(&self.lane, [0.0, within_s]),
             Some(intervals) => intervals.iter().find_map(|interval| {
-                self.first_contact_between(&interval.lane, [interval.from_s, interval.to_s])
+                self.first_collision_between(&interval.lane, [interval.from_s, interval.to_s])
             }),
         }
     }
 
     /// Returns the earliest collision between two instants without lane changes between them.
-    fn first_contact_between(
+    fn first_collision_between(
         &self,
         lane: &LaneState,
         [from_s, to_s]: [f64; 2],
@@ -194,8 +197,8 @@ impl PlatoonState {
                 ];
                 let length_m = self.length_m[index];
                 let gap_m = front.position_m - length_m - behind.position_m;
-                if needs_contact_check(gap_m, behind_mps, closing_mps, within_s)
-                    && let Some(in_s) = first_contact(front, behind, length_m, within_s)
+                if needs_collision_check(gap_m, behind_mps, closing_mps, within_s)
+                    && let Some(in_s) = first_collision(front, behind, length_m, within_s)
                     && first.is_none_or(|(earliest_s, _)| from_s + in_s < earliest_s)
                 {
                     first = Some((from_s + in_s, [index, rear]));
@@ -322,7 +325,7 @@ impl PlatoonState {
             .sum();
         let front_speed_mps = self.motion[front].speed_mps;
         let rear_speed_mps = self.motion[rear].speed_mps;
-        let contact = Contact {
+        let collision = Collision {
             time_s,
             front_vehicle: front,
             rear_vehicle: rear,
@@ -331,7 +334,7 @@ impl PlatoonState {
             impact_speed_mps: rear_speed_mps - front_speed_mps,
         };
         Impact {
-            contact,
+            collision,
             common_speed_mps: momentum / mass_kg,
             first_involved,
             last_involved,
@@ -371,7 +374,7 @@ impl PlatoonState {
 
 /// Returns the gap after `dt_s` seconds, in metres; `None` if the vehicles could collide or be closest inside the step.
 #[inline]
-fn contact_free_end_gap_m(
+fn collision_free_end_gap_m(
     now: [&Motion; 2],
     end: [&Motion; 2],
     length_m: f64,
@@ -380,7 +383,7 @@ fn contact_free_end_gap_m(
     let gap_m = |[front, rear]: [&Motion; 2]| front.position_m - length_m - rear.position_m;
     let closing_mps = [now, end].map(|[front, rear]| rear.speed_mps - front.speed_mps);
     let rear_mps = [now[1].speed_mps, end[1].speed_mps];
-    (!needs_contact_check(gap_m(now), rear_mps, closing_mps, dt_s)).then(|| gap_m(end))
+    (!needs_collision_check(gap_m(now), rear_mps, closing_mps, dt_s)).then(|| gap_m(end))
 }
 
 #[cfg(test)]

@@ -84,7 +84,7 @@ pub(super) fn assemble_result(
 ) -> SimulationResult {
     let outcome = match (failed, impacts.first()) {
         (Some(failed), _) => Outcome::ControllerFailed(failed),
-        (None, Some(impact)) => Outcome::Collision(impact.contact),
+        (None, Some(impact)) => Outcome::Collision(impact.collision),
         (None, None) => Outcome::NoCollision,
     };
     SimulationResult {

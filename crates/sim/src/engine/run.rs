@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use super::AfterContact;
+use super::AfterCollision;
 use super::lane::{Bodies, LaneState};
 use super::motion::Motion;
 use super::platoon::PlatoonState;
@@ -22,11 +22,11 @@ use crate::scenario::{
 /// ```
 /// use crumple_sim::control::BuiltInController;
 /// use crumple_sim::observation::EstimatorKind;
-/// use crumple_sim::engine::{AfterContact, RunOptions};
+/// use crumple_sim::engine::{AfterCollision, RunOptions};
 ///
 /// let options = RunOptions::new(BuiltInController::from_name("baseline").unwrap())
 ///     .with_estimator(EstimatorKind::Truth)
-///     .with_after_contact(AfterContact::Continue);
+///     .with_after_collision(AfterCollision::Continue);
 /// assert_eq!(options.dt_s, None);
 /// ```
 #[derive(Clone)]
@@ -38,7 +38,7 @@ pub struct RunOptions {
     /// Integration step in seconds, a whole fraction of the scenario's step; `None` for the scenario's step.
     pub dt_s: Option<f64>,
     /// Continuation after a collision.
-    pub after_contact: AfterContact,
+    pub after_collision: AfterCollision,
 }
 
 impl RunOptions {
@@ -49,7 +49,7 @@ impl RunOptions {
             controller: controller.into_source(),
             estimator: EstimatorKind::default(),
             dt_s: None,
-            after_contact: AfterContact::default(),
+            after_collision: AfterCollision::default(),
         }
     }
 
@@ -69,8 +69,8 @@ impl RunOptions {
 
     /// Sets the continuation after a collision.
     #[must_use]
-    pub fn with_after_contact(mut self, after_contact: AfterContact) -> Self {
-        self.after_contact = after_contact;
+    pub fn with_after_collision(mut self, after_collision: AfterCollision) -> Self {
+        self.after_collision = after_collision;
         self
     }
 }
@@ -190,7 +190,7 @@ pub(super) struct TimeGrid {
     pub(super) dt_s: f64,
     pub(super) substeps: usize,
     pub(super) steps: usize,
-    pub(super) after_contact: AfterContact,
+    pub(super) after_collision: AfterCollision,
 }
 
 impl TimeGrid {
@@ -220,7 +220,7 @@ impl Run {
             dt_s,
             substeps,
             steps: scenario.steps(),
-            after_contact: options.after_contact,
+            after_collision: options.after_collision,
         };
         let run = Self {
             scenario: scenario.clone(),
@@ -412,6 +412,17 @@ impl Run {
         }
         let started = source.start_in_run(&vehicle);
         AnyController::Other(started.unwrap_or_else(not_started))
+    }
+
+    /// Returns the command of vehicle `index` after it has hit its leader, in m/s²; `None` if its driver, or a script,
+    /// decides.
+    pub(super) fn command_after_impact_mps2(&self, index: usize) -> Option<f64> {
+        let is_script = matches!(
+            self.scenario.vehicles().get(index)?.driver,
+            Driver::Profile(_)
+        );
+        let command_mps2 = self.options.after_collision.command_after_impact_mps2();
+        command_mps2.filter(|_| !is_script)
     }
 
     /// Creates sensors and filters of vehicle `index`; `None` if it observes the true state.

@@ -4,14 +4,28 @@ use serde::{Deserialize, Serialize};
 
 use super::Run;
 use crate::control::{
-    ErrorBounds, MAX_MARGIN_M, MIN_MARGIN_M, MotionBounds, Override, RearVehicleParams,
-    ShieldAssumptions, ShieldParams, ShieldRefusal, ShieldSettings, ViabilityKernel,
+    BuiltInController, ErrorBounds, FIRING_TTC_S, FollowerClass, FollowerTrigger, MAX_MARGIN_M,
+    MIN_MARGIN_M, MotionBounds, Override, RearErrorBounds, RearVehicleParams, ShieldAssumptions,
+    ShieldParams, ShieldRefusal, ShieldSettings, TwoSidedParams, TwoSidedSettings, ViabilityKernel,
 };
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
 /// Standard deviations of noise that a shield assumes as a bound; exceeded once in 10⁹ samples.
 const NOISE_SIGMAS: f64 = 6.0;
+
+/// Gap that a two-sided shield keeps on either side, in metres, besides rounding.
+const MIN_TWO_SIDED_MARGIN_M: f64 = 0.05;
+
+/// Acceleration of a follower whose brake has not fired, in m/s²: that of holding a speed, and of coasting in gear (UN
+/// R157, competent driver: 0.4).
+const DEFAULT_DRIFT_MPS2: f64 = 0.3;
+
+/// Deceleration of a follower that a two-sided shield assumes at least, in m/s².
+const MIN_FOLLOWER_BRAKE_MPS2: f64 = 0.01;
+
+/// Time constants of an actuator until it brakes with 95 % of the command.
+const RISE_TIME_CONSTANTS: f64 = 3.0;
 
 /// A period in which a shield braked instead of the controller's command.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -87,6 +101,41 @@ impl ShieldAssumptions for Run {
         }
         Ok(params)
     }
+
+    fn two_sided_params(
+        &self,
+        index: usize,
+        settings: &TwoSidedSettings,
+    ) -> Result<TwoSidedParams, ShieldRefusal> {
+        let ahead_only = self.shield_params(
+            index,
+            &ShieldSettings {
+                ahead_brake_mps2: settings.level_mps2,
+                errors: settings.errors.map(|(errors, _)| errors),
+            },
+        )?;
+        let follower = self.follower_class(index, settings);
+        let step_s = ahead_only.step_s;
+        if let Some(FollowerTrigger::TimeToCollision(ttc_s)) = follower.map(|class| class.trigger)
+            && ttc_s < 2.0 * step_s
+        {
+            return Err(ShieldRefusal::ShortTtc { ttc_s, step_s });
+        }
+        Ok(TwoSidedParams {
+            step_s,
+            brake_mps2: ahead_only.brake_mps2,
+            accel_mps2: ahead_only.accel_mps2,
+            noise_mps2: ahead_only.noise_mps2,
+            delay_steps: ahead_only.delay_steps,
+            response_fraction: ahead_only.response_fraction,
+            level_mps2: ahead_only.ahead_brake_mps2,
+            errors: ahead_only.errors,
+            rear_errors: self.rear_estimation_errors(index, settings),
+            follower,
+            margin_m: MIN_TWO_SIDED_MARGIN_M + 2.0 * ahead_only.margin_m,
+            raises: settings.raises,
+        })
+    }
 }
 
 /// Largest braking and acceleration that a shield assumes of the leader, in m/s²; both positive, with noise.
@@ -97,6 +146,41 @@ struct LeaderLimits {
 }
 
 impl Run {
+    /// Returns the assumptions of a two-sided shield of vehicle `index` with these settings. `Driver::UnderTest` is not
+    /// required.
+    ///
+    /// # Errors
+    /// [`ShieldRefusal`] if a shield gives no guarantee for the vehicle.
+    pub fn two_sided_shield(
+        &self,
+        index: usize,
+        settings: &TwoSidedSettings,
+    ) -> Result<TwoSidedParams, ShieldRefusal> {
+        self.two_sided_params(index, settings)
+    }
+
+    /// Returns the name of the driver of the follower of vehicle `index`, unless that is known to be of the class: a
+    /// `baseline` that fires at the class's time to collision, with the limits of the class or better.
+    #[must_use]
+    pub fn driver_outside_class(
+        &self,
+        index: usize,
+        class: &FollowerClass,
+    ) -> Option<&'static str> {
+        let driver = &self.scenario().vehicles().get(index + 1)?.driver;
+        let limits = self.follower_class(index, &TwoSidedSettings::default())?;
+        let fires_as_stated = match (driver, class.trigger) {
+            (
+                Driver::Controller(BuiltInController::Baseline(settings)),
+                FollowerTrigger::TimeToCollision(ttc_s),
+            ) => settings.ttc_s == ttc_s,
+            _ => false,
+        };
+        let is_within_limits =
+            limits.reaction_s <= class.reaction_s && limits.brake_mps2 >= class.brake_mps2;
+        (!fires_as_stated || !is_within_limits).then(|| driver.name())
+    }
+
     /// Checks that the kernel models this run for a shield of vehicle `index`.
     fn check_can_shield(&self, index: usize) -> Result<(), ShieldRefusal> {
         let scenario = self.scenario();
@@ -173,6 +257,66 @@ impl Run {
                     speed_mps,
                     ahead_speed_mps,
                 })
+            }
+        }
+    }
+
+    /// Returns the class of the follower of vehicle `index`, if there is one: the settings, and for the rest its limits
+    /// in the scenario.
+    fn follower_class(&self, index: usize, settings: &TwoSidedSettings) -> Option<FollowerClass> {
+        let behind = self.scenario().vehicles().get(index + 1)?;
+        let spec = self.scenario().spec();
+        let response = behind.response();
+        let delay_s = whole_steps(response.delay_s, spec.step_s) * spec.step_s;
+        // After three time constants, an actuator with lag brakes with 95 % of the command.
+        let lag_s = RISE_TIME_CONSTANTS * response.lag_s;
+        let reached = if response.lag_s > 0.0 {
+            1.0 - (-RISE_TIME_CONSTANTS).exp()
+        } else {
+            1.0
+        };
+        let brake_mps2 = match settings.behind_brake_mps2 {
+            Some(dry_mps2) => dry_mps2 * spec.environment.friction,
+            None => {
+                reached * self.scenario().usable_brake_mps2(index + 1) - noise_bound_mps2(behind)
+            }
+        };
+        // With a limit of its jerk, the brake has built up after this time.
+        let build_up_s = behind.jerk_limit_mps3.map_or(0.0, |jerk_mps3| {
+            self.scenario().usable_brake_mps2(index + 1) / jerk_mps3
+        });
+        let (trigger, reaction_s) = match settings.reacts_s {
+            Some(reaction_s) => (FollowerTrigger::LeaderBrakes, reaction_s),
+            None => (
+                FollowerTrigger::TimeToCollision(settings.ttc_s.unwrap_or(FIRING_TTC_S)),
+                settings.reaction_s.unwrap_or(delay_s + lag_s + build_up_s),
+            ),
+        };
+        Some(FollowerClass {
+            trigger,
+            reaction_s,
+            brake_mps2: brake_mps2.max(MIN_FOLLOWER_BRAKE_MPS2),
+            drift_mps2: settings.drift_mps2.unwrap_or(DEFAULT_DRIFT_MPS2),
+        })
+    }
+
+    /// Returns the errors of the follower's observation: those of the settings, or bounds for the estimator.
+    fn rear_estimation_errors(&self, index: usize, settings: &TwoSidedSettings) -> RearErrorBounds {
+        if index + 1 >= self.scenario().vehicles().len() {
+            return RearErrorBounds::default();
+        }
+        match (settings.errors, self.options().estimator) {
+            (Some((_, rear)), _) => rear,
+            (None, EstimatorKind::Truth) => RearErrorBounds::default(),
+            (None, EstimatorKind::Kalman) => {
+                let spans_mps2 = [index, index + 1].map(|vehicle| {
+                    let spec = &self.scenario().vehicles()[vehicle];
+                    self.scenario().usable_brake_mps2(vehicle)
+                        + spec.max_accel_mps2()
+                        + 2.0 * noise_bound_mps2(spec)
+                });
+                let [gap_m, _, speed_mps] = self.tuning().worst_errors(spans_mps2, NOISE_SIGMAS);
+                RearErrorBounds { gap_m, speed_mps }
             }
         }
     }

@@ -11,7 +11,7 @@ use super::recorder::{VehicleExtremes, assemble_result, raise_max_brake, summari
 use super::run::{TimeGrid, VehicleController, true_state};
 use super::shielding::interventions;
 use super::{
-    AfterContact, FailedController, Impact, Intervention, Motion, RecordingLevel, Run,
+    AfterCollision, FailedController, Impact, Intervention, Motion, RecordingLevel, Run,
     SimulationResult, Trace,
 };
 use crate::control::{Controller, ControllerFailure};
@@ -275,12 +275,12 @@ impl Stepper {
         }
         let TimeGrid {
             dt_s,
-            after_contact,
+            after_collision,
             ..
         } = self.time_grid;
-        let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
+        let done_s = platoon.advance(from_s, dt_s, after_collision, impacts);
         update_min_ttc(extremes, platoon);
-        if after_contact == AfterContact::Stop && !impacts.is_empty() {
+        if after_collision == AfterCollision::Stop && !impacts.is_empty() {
             if let Some(trace) = trace {
                 trace.push_sample(from_s + done_s, platoon.motion.iter().copied());
             }
@@ -307,7 +307,7 @@ impl Stepper {
     #[must_use]
     pub fn finish(mut self) -> SimulationResult {
         if let Some(trace) = &mut self.trace
-            && (self.impacts.is_empty() || self.time_grid.after_contact == AfterContact::Continue)
+            && (self.impacts.is_empty() || self.time_grid.after_collision.continues())
         {
             trace.push_sample(
                 self.time_grid.time_s(self.step, 0),
@@ -374,6 +374,8 @@ struct VehicleLoop {
     tracked_neighbours: [Option<usize>; 2],
     /// External command for this step.
     command_mps2: Option<f64>,
+    /// Command after the vehicle has hit its leader, in m/s²; `None` if its driver decides.
+    after_impact_mps2: Option<f64>,
     /// For a consulted driver: the estimator of its observations, and its last answer in m/s².
     consulted: Option<(EstimatorKind, f64)>,
 }
@@ -393,6 +395,7 @@ impl VehicleLoop {
             observation: None,
             tracked_neighbours: [platoon.lane.ahead(index), platoon.lane.behind(index)],
             command_mps2: None,
+            after_impact_mps2: run.command_after_impact_mps2(index),
             consulted: None,
         }
     }
@@ -428,10 +431,22 @@ impl VehicleLoop {
         if self.estimator.is_some() {
             self.observe(platoon, index);
         }
+        let hides_follower = self.after_impact_mps2.is_some() && platoon.is_hit_from_behind(index);
         let observation = self.observation.take();
+        let observation = observation.map(|seen| seen.hiding_follower(hides_follower));
+        let truth = || {
+            true_state(platoon, index)
+                .observation
+                .hiding_follower(hides_follower)
+        };
+        if let (Some(_), VehicleController::Controller(controller)) =
+            (&observation, &mut self.driver)
+        {
+            controller.perceive(&truth());
+        }
         let speed_mps = platoon.motion[index].speed_mps;
         if self.consulted.is_some() {
-            self.consult_driver(observation, &true_state(platoon, index).observation)?;
+            self.consult_driver(observation, &truth())?;
         }
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
@@ -440,8 +455,12 @@ impl VehicleLoop {
             }
             (None, VehicleController::Controller(controller)) => match observation {
                 Some(observation) => controller.decide(&observation)?,
-                None => controller.decide(&true_state(platoon, index).observation)?,
+                None => controller.decide(&truth())?,
             },
+        };
+        let command_mps2 = match self.after_impact_mps2 {
+            Some(after_mps2) if platoon.locked_to_front[index] => after_mps2,
+            _ => command_mps2,
         };
         Ok(self.actuate(command_mps2, speed_mps, platoon.is_locked(index)))
     }

@@ -50,7 +50,7 @@ pub enum PolicyError {
     #[error("not a whole safetensors file: {0}")]
     Container(#[from] SafeTensorError),
     /// The header is missing or wrong.
-    #[error("header `{METADATA_KEY}`: {0}")]
+    #[error("header of the policy: {0}")]
     Header(String),
     /// The network can overflow.
     #[error(

@@ -1,5 +1,6 @@
 //! Header of a policy file: everything that driving needs except the weights.
 
+use crumple_core::text_file::is_one;
 use serde::{Deserialize, Serialize};
 
 use crate::observation::{EMPTY_GAP_M, EstimatorKind, Neighbour, Observation, ObservedQuantity};
@@ -76,11 +77,6 @@ pub struct ExtraInput {
 
 fn default_one() -> usize {
     1
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_one(count: &usize) -> bool {
-    *count == 1
 }
 
 impl Default for ObservationScaling {

@@ -281,6 +281,9 @@ impl<'de> Deserialize<'de> for Driver {
             }
 
             fn visit_str<E: de::Error>(self, name: &str) -> Result<DriverForm, E> {
+                if let Some(preset) = BuiltInController::from_preset(name) {
+                    return Ok(Driver::Controller(preset).into());
+                }
                 let no_settings = std::iter::empty::<(&str, &str)>();
                 let settings = de::value::MapDeserializer::new(no_settings);
                 let named = std::iter::once((name, settings));
@@ -314,6 +317,7 @@ impl schemars::JsonSchema for Driver {
         let with_settings = generator.subschema_for::<DriverForm>();
         let mut names = vec!["under-test", "constant-speed"];
         names.extend(BuiltInController::all().iter().map(BuiltInController::name));
+        names.extend(BuiltInController::presets().map(|preset| preset.name));
         schemars::json_schema!({
             "description": "Who drives: a bare name, or one name with its settings.",
             "anyOf": [{ "enum": names }, with_settings],

@@ -11,6 +11,7 @@ mod lane_change;
 mod paper;
 mod plant;
 mod profile;
+mod recorded_motion;
 mod response;
 mod sensor_faults;
 mod speed_dip;
@@ -34,6 +35,7 @@ pub use plant::{BodyKind, PlantKind};
 pub use profile::{
     Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds,
 };
+pub use recorded_motion::RecordedMotion;
 pub use response::VehicleResponse;
 pub use sensor_faults::{FAULT_FIELDS, FaultField, GhostObject, SensorFaults};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
@@ -272,6 +274,13 @@ impl Scenario {
             .vehicles
             .get(index)
             .is_some_and(|vehicle| vehicle.driver == Driver::UnderTest)
+    }
+
+    /// Returns true if the last vehicle is under test: no collision from behind can happen to it.
+    #[must_use]
+    pub fn ends_under_test(&self) -> bool {
+        let last = self.spec.vehicles.len().saturating_sub(1);
+        self.is_under_test(last)
     }
 
     /// Returns the number of steps of `step_s` in `duration_s`.

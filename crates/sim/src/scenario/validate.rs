@@ -1,8 +1,10 @@
 //! Validation of scenarios.
 
 use super::invalid::{AllowedRange, FieldProblem, InvalidField};
+use super::recorded_motion::MAX_SAMPLES;
 use super::{
-    Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors, VehicleSpec,
+    Driver, LaneChange, LeadProfile, RecordedMotion, SCENARIO_VERSION, ScenarioSpec, Sensors,
+    VehicleSpec,
 };
 use crumple_core::format_version::check_version;
 
@@ -172,7 +174,42 @@ fn check_vehicle(path: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), Inva
         return path.field("body").reject(FieldProblem::BodyOfPointMass);
     }
     check_lane_changes(path, vehicle)?;
+    if let Some(recorded) = &vehicle.recorded {
+        check_recorded_motion(&path.field("recorded"), recorded)?;
+    }
     check_driver(path, vehicle)
+}
+
+fn check_recorded_motion(
+    path: &FieldPath<'_>,
+    recorded: &RecordedMotion,
+) -> Result<(), InvalidField> {
+    let RecordedMotion {
+        interval_s,
+        gap_m,
+        speed_mps,
+    } = recorded;
+    path.field("interval_s")
+        .check_number(*interval_s, range_from(0.01, 10.0))?;
+    let gaps_at = path.field("gap_m");
+    let speeds_at = path.field("speed_mps");
+    gaps_at.check_length(gap_m.len(), 1, MAX_SAMPLES, "entries")?;
+    if speed_mps.len() != gap_m.len() {
+        return speeds_at.reject(FieldProblem::LengthMismatch {
+            other: "gap_m",
+            expected: gap_m.len(),
+            found: speed_mps.len(),
+        });
+    }
+    for (index, (&gap_m, &speed_mps)) in gap_m.iter().zip(speed_mps).enumerate() {
+        gaps_at
+            .index(index)
+            .check_number(gap_m, range_from(0.0, 1e6))?;
+        speeds_at
+            .index(index)
+            .check_number(speed_mps, SPEED_RANGE_MPS)?;
+    }
+    Ok(())
 }
 
 fn check_driver(path: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), InvalidField> {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::driver::Driver;
 use super::lane_change::LaneChange;
 use super::plant::{BodyKind, PlantKind};
+use super::recorded_motion::RecordedMotion;
 use crumple_core::text_file::is_default;
 
 struct ClassPreset {
@@ -167,6 +168,9 @@ pub struct VehicleSpec {
     /// Trigger for leaving the lane once it is in it. Only for scripted vehicles. Default: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leaves: Option<LaneChange>,
+    /// Recorded motion in whose place the controller drives, for comparison. No simulation uses it. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<Box<RecordedMotion>>,
 }
 
 impl VehicleSpec {
@@ -191,6 +195,7 @@ impl VehicleSpec {
             body: None,
             enters: None,
             leaves: None,
+            recorded: None,
         }
     }
 

@@ -56,7 +56,7 @@ impl ScenarioSpace {
             .map_err(|invalid| invalid.within("distribution"))?;
         check_kind(spec, field.target.kind())?;
         let nominal = self.resolve_nominal(spec, &field)?;
-        check_nominal(spec, &nominal, &marginal)?;
+        check_nominal(spec, field.target, &nominal, &marginal)?;
         let start = self.dimension();
         Ok(SpaceParameter {
             name: spec.name.clone(),
@@ -110,13 +110,17 @@ impl ScenarioSpace {
             return Ok(field.target.get(&self.template));
         };
         let kind = field.target.kind();
-        if value.kind() == kind {
+        let is_driver_behind = kind == ValueKind::Follower && value.kind() == ValueKind::Driver;
+        if value.kind() == kind || is_driver_behind {
             return Ok(vec![value.number(); field.length]);
         }
         let problem = match kind {
             ValueKind::Number => "must be a number".to_owned(),
             ValueKind::Class => format!("must be {}", class_names(" or ")),
-            ValueKind::Driver => "must be a built-in controller".to_owned(),
+            ValueKind::Driver => "must be a built-in controller or a preset".to_owned(),
+            ValueKind::Follower => {
+                "must be a built-in controller, a preset, `late`, `weak` or `none`".to_owned()
+            }
         };
         reject("nominal", format!("{problem}, found {value}"))
     }
@@ -175,13 +179,18 @@ fn is_part(part: &str, whole: &str) -> bool {
 }
 
 fn check_kind(spec: &ParameterSpec, kind: ValueKind) -> Result<(), InvalidSpace> {
-    if kind == spec.distribution.kind() {
+    let given = spec.distribution.kind();
+    if kind == given || (kind == ValueKind::Follower && given == ValueKind::Driver) {
         return Ok(());
     }
     let problem = match kind {
         ValueKind::Number => "a number is expected".to_owned(),
         ValueKind::Class => format!("a class is a choice of {}", class_names(" and ")),
-        ValueKind::Driver => "a driver is a choice of built-in controllers".to_owned(),
+        ValueKind::Driver => "a driver is a choice of built-in controllers and presets".to_owned(),
+        ValueKind::Follower => {
+            "a follower is a choice of built-in controllers, presets, `late`, `weak` and `none`"
+                .to_owned()
+        }
     };
     reject("distribution", problem)
 }
@@ -197,6 +206,7 @@ fn class_names(between: &str) -> String {
 /// Checks that the distribution has the nominal values.
 fn check_nominal(
     spec: &ParameterSpec,
+    target: FieldTarget,
     nominal: &[f64],
     marginal: &CoordinateMarginal,
 ) -> Result<(), InvalidSpace> {
@@ -206,11 +216,15 @@ fn check_nominal(
     }) else {
         return Ok(());
     };
-    let value = format_compact(*value);
     let problem = if matches!(marginal, CoordinateMarginal::Choice { .. }) {
+        let value = match target.kind().value_name(*value) {
+            Some(name) => format!("`{name}`"),
+            None => format_compact(*value),
+        };
         format!("{value} is not a value of the distribution")
     } else {
         let [low, high] = [marginal.low(), marginal.high()].map(format_compact);
+        let value = format_compact(*value);
         format!("must be from {low} to {high}, found {value}")
     };
     let origin = if spec.nominal.is_some() {

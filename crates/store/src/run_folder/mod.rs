@@ -137,12 +137,14 @@ pub enum RunFolderError {
         kind: String,
     },
     /// The run has another configuration.
-    #[error("{}: the {kind} there has a different configuration", path.display())]
+    #[error("{}: the {kind} there has a different configuration: {difference}", path.display())]
     OtherConfiguration {
         /// Path of the configuration file.
         path: PathBuf,
         /// Kind of the existing run.
         kind: String,
+        /// First line that differs, there and as requested.
+        difference: String,
     },
     /// Another build of crumple left the run incomplete.
     #[error("{}: {OTHER_BUILD_MESSAGE}", path.display())]
@@ -292,19 +294,36 @@ impl RunFolderOptions<'_> {
             return Ok(());
         }
         let name = self.configuration_file;
-        if existing.check_file(folder, name).is_err() {
+        let contents = existing.read_contents(folder, name).ok();
+        let checked = contents.filter(|bytes| existing.check(name, bytes.as_deref()).is_ok());
+        let Some(bytes) = checked else {
             let problem =
                 "in the same folder does not match it: one of them belongs to another run";
             return Err(RunFolderError::damaged(
                 &path,
                 format!("the `{name}` {problem}"),
             ));
-        }
+        };
         Err(RunFolderError::OtherConfiguration {
             path: folder.join(name),
             kind,
+            difference: describe_difference(
+                &String::from_utf8_lossy(&bytes.unwrap_or_default()),
+                self.configuration,
+            ),
         })
     }
+}
+
+/// Describes the first line in which two texts differ.
+fn describe_difference(existing: &str, requested: &str) -> String {
+    let equal = existing.lines().zip(requested.lines());
+    let equal = equal.take_while(|(there, now)| there == now).count();
+    let [there, now] = [existing, requested].map(|text| match text.lines().nth(equal) {
+        Some(line) => format!("`{}`", line.trim()),
+        None => "missing".to_owned(),
+    });
+    format!("line {} is {there} there, and {now} now", equal + 1)
 }
 
 impl RunFolder {

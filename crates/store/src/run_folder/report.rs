@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::FolderExamination;
 
 /// Report of the examination of a run folder.
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Serialize)]
 pub struct FolderReport {
     /// Path of the folder.
     pub folder: String,
@@ -30,7 +30,13 @@ pub struct FolderReport {
     pub unlisted_files: Vec<String>,
     /// Files and folders beside the run.
     pub unrelated_files: Vec<String>,
+    /// Advice that the text gives about damaged files.
+    #[serde(skip)]
+    pub advice: &'static str,
 }
+
+/// Advice about a damaged run.
+const RUN_ADVICE: &str = "damaged work cannot be resumed: start again with a new --out";
 
 /// A damaged file of a run folder.
 #[derive(Debug, Serialize)]
@@ -60,6 +66,7 @@ impl FolderReport {
                 .collect(),
             unlisted_files: examination.unlisted_files.clone(),
             unrelated_files: examination.unrelated_files.clone(),
+            advice: RUN_ADVICE,
         }
     }
 
@@ -69,7 +76,15 @@ impl FolderReport {
         Self {
             folder: folder.display().to_string(),
             error: Some(error),
-            ..Self::default()
+            kind: None,
+            is_complete: false,
+            is_of_this_build: false,
+            is_intact: false,
+            files: 0,
+            damaged: Vec::new(),
+            unlisted_files: Vec::new(),
+            unrelated_files: Vec::new(),
+            advice: RUN_ADVICE,
         }
     }
 
@@ -90,7 +105,7 @@ impl FolderReport {
             text += &format!("  {}: {problem}\n", TerminalText(name));
         }
         if !self.damaged.is_empty() {
-            text += "  damaged work cannot be resumed: start again with a new --out\n";
+            text += &format!("  {}\n", self.advice);
         }
         for name in &self.unlisted_files {
             text += &format!(

@@ -18,6 +18,7 @@ fn finished_folder() -> tempfile::TempDir {
         .write("a.json", "first")
         .write("deep/b.json", "b")
         .write("c.json", "c")
+        .write("count.toml", "runs = 3")
         .commit()
         .unwrap();
     work.write("a.json", "second").unwrap();
@@ -40,7 +41,10 @@ fn only_written_files_are_read() {
         (work.read("c.json").unwrap(), work.is_complete()),
         (None, true)
     );
-    assert_eq!(work.lock_manifest().file_names(), ["a.json", "deep/b.json"]);
+    assert_eq!(
+        work.lock_manifest().file_names(),
+        ["a.json", "count.toml", "deep/b.json"]
+    );
     fs::write(work.path("c.json"), "left over").unwrap();
     let text = work.read("c.json").unwrap_err().to_string();
     assert!(
@@ -76,7 +80,7 @@ fn a_run_of_another_kind_or_configuration_is_refused() {
                 configuration: "runs = 4",
                 ..OPTIONS
             },
-            "the count there has a different configuration",
+            "the count there has a different configuration: line 1 is `runs = 3` there, and `runs = 4` now",
         ),
     ] {
         let text = RunFolder::open(folder.path(), asked)

@@ -8,6 +8,7 @@ use std::io;
 use super::polyline::simplify_polyline;
 use super::storyboard::{VehicleManeuver, write_speed_action};
 use super::{OpenScenarioError, Xml, format_number, write_element, write_empty_element};
+use crate::openscenario::vocabulary::{POSITION_MODE, TransitionDimension, TransitionShape, path};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::scenario::{
@@ -222,17 +223,24 @@ impl VehicleManeuver for ScriptedVehicle {
     }
 
     fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
-        write_element(xml, "LongitudinalAction", &[], |xml| match &self.action {
+        match &self.action {
             ScriptedAction::KeepSpeed => Ok(()),
             ScriptedAction::Brake {
                 rate_mps2,
                 final_speed_mps,
                 ..
-            } => write_speed_action(xml, ("linear", "rate", *rate_mps2), *final_speed_mps),
+            } => {
+                let dynamics = (
+                    TransitionShape::Linear,
+                    TransitionDimension::Rate,
+                    *rate_mps2,
+                );
+                write_speed_action(xml, dynamics, *final_speed_mps)
+            }
             ScriptedAction::Profile(entries) => write_element(
                 xml,
-                "SpeedProfileAction",
-                &[("followingMode", "position")],
+                path::SPEED_PROFILE_ACTION,
+                &[("followingMode", POSITION_MODE)],
                 |xml| {
                     entries.iter().try_for_each(|&(after_s, mps)| {
                         let [time, speed] = [after_s, mps].map(format_number);
@@ -244,6 +252,6 @@ impl VehicleManeuver for ScriptedVehicle {
                     })
                 },
             ),
-        })
+        }
     }
 }

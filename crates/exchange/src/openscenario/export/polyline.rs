@@ -6,6 +6,7 @@ use quick_xml::events::{BytesText, Event};
 
 use super::storyboard::VehicleManeuver;
 use super::{Xml, format_number, reference_point_m, write_element, write_empty_element};
+use crate::openscenario::vocabulary::{POSITION_MODE, ReferenceContext, Word as _, path};
 use crumple_sim::engine::{Trace, Track};
 
 /// Maximum position error of a polyline, in metres.
@@ -119,11 +120,11 @@ impl VehicleManeuver for Trajectory<'_> {
     fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
         let name = format!("{}_path", super::entity_name(self.index));
         let absolute = [
-            ("domainAbsoluteRelative", "absolute"),
+            ("domainAbsoluteRelative", ReferenceContext::Absolute.name()),
             ("scale", "1"),
             ("offset", "0"),
         ];
-        write_element(xml, "RoutingAction/FollowTrajectoryAction", &[], |xml| {
+        write_element(xml, path::TRAJECTORY_ACTION, &[], |xml| {
             write_element(
                 xml,
                 "TrajectoryRef/Trajectory",
@@ -134,7 +135,7 @@ impl VehicleManeuver for Trajectory<'_> {
             write_empty_element(
                 xml,
                 "TrajectoryFollowingMode",
-                &[("followingMode", "position")],
+                &[("followingMode", POSITION_MODE)],
             )
         })
     }

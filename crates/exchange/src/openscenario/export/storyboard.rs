@@ -6,7 +6,10 @@ use super::{
     Xml, describe_scenario, entities, entity_name, format_number, reference_point_m, write_element,
     write_empty_element,
 };
-use crumple_sim::scenario::Scenario;
+use crate::openscenario::vocabulary::{
+    Priority, Rule, TransitionDimension, TransitionShape, Word as _, path,
+};
+use crumple_sim::scenario::{Scenario, VehicleSpec};
 
 /// A file to which maneuvers are written.
 pub(super) struct OpenScenarioFile<'a> {
@@ -53,7 +56,7 @@ impl OpenScenarioFile<'_> {
             write_element(xml, "Storyboard", &[], |xml| {
                 write_element(xml, "Init/Actions", &[], |xml| self.write_init(xml))?;
                 write_story(xml, maneuvers)?;
-                write_time_trigger(xml, "StopTrigger", "over", "greaterThan", self.end_s)
+                write_time_trigger(xml, ("StopTrigger", "over"), Rule::GreaterThan, self.end_s)
             })
         })
     }
@@ -67,31 +70,34 @@ impl OpenScenarioFile<'_> {
             |xml| write_empty_element(xml, "RoadCondition", &[("frictionScaleFactor", &friction)]),
         )?;
         for (index, vehicle) in self.scenario.vehicles().iter().enumerate() {
-            write_element(
-                xml,
-                "Private",
-                &[("entityRef", &entity_name(index))],
-                |xml| {
-                    let x =
-                        format_number(reference_point_m(vehicle.position_m, vehicle.length_m()));
-                    let position = "PrivateAction/TeleportAction/Position/WorldPosition";
-                    write_empty_element(xml, position, &[("x", &x), ("y", "0")])?;
-                    write_element(xml, "PrivateAction/LongitudinalAction", &[], |xml| {
-                        write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps)
-                    })?;
-                    if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
-                        return Ok(());
-                    }
-                    let activate = "PrivateAction/ControllerAction/ActivateControllerAction";
-                    write_empty_element(
-                        xml,
-                        activate,
-                        &[("longitudinal", "true"), ("lateral", "true")],
-                    )
-                },
-            )?;
+            let entity = entity_name(index);
+            write_element(xml, "Private", &[("entityRef", &entity)], |xml| {
+                self.write_initial_actions(xml, vehicle)
+            })?;
         }
         Ok(())
+    }
+
+    /// Writes the initial position and speed of a vehicle, and the activation of its controller.
+    fn write_initial_actions(&self, xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
+        let action = |path: &str| format!("PrivateAction/{path}");
+        let x = format_number(reference_point_m(vehicle.position_m, vehicle.length_m()));
+        let position = action(&format!(
+            "{}/{}",
+            path::TELEPORT_ACTION,
+            path::WORLD_POSITION
+        ));
+        write_empty_element(xml, &position, &[("x", &x), ("y", "0")])?;
+        write_element(xml, "PrivateAction", &[], |xml| {
+            let at_once = (TransitionShape::Step, TransitionDimension::Time, 0.0);
+            write_speed_action(xml, at_once, vehicle.speed_mps)
+        })?;
+        if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
+            return Ok(());
+        }
+        let activate = action(&format!("{}/{}", path::CONTROLLER_ACTION, path::ACTIVATION));
+        let both = [("longitudinal", "true"), ("lateral", "true")];
+        write_empty_element(xml, &activate, &both)
     }
 }
 
@@ -107,7 +113,7 @@ fn write_story(xml: &mut Xml, maneuvers: &[impl VehicleManeuver]) -> io::Result<
             for maneuver in maneuvers {
                 write_maneuver_group(xml, maneuver)?;
             }
-            write_time_trigger(xml, "StartTrigger", "begin", "greaterOrEqual", 0.0)
+            write_time_trigger(xml, ("StartTrigger", "begin"), Rule::GreaterOrEqual, 0.0)
         })
     })
 }
@@ -132,18 +138,16 @@ fn write_maneuver_group(xml: &mut Xml, maneuver: &impl VehicleManeuver) -> io::R
             write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
         })?;
         write_element(xml, "Maneuver", &[("name", &maneuver_name)], |xml| {
-            let event = [("name", &*event_name), ("priority", "override")];
+            let event = [
+                ("name", &*event_name),
+                ("priority", Priority::Override.name()),
+            ];
             write_element(xml, "Event", &event, |xml| {
                 write_element(xml, "Action", &[("name", &action_name)], |xml| {
                     write_element(xml, "PrivateAction", &[], |xml| maneuver.write_action(xml))
                 })?;
-                write_time_trigger(
-                    xml,
-                    "StartTrigger",
-                    &trigger_name,
-                    "greaterOrEqual",
-                    start_s,
-                )
+                let trigger = ("StartTrigger", &*trigger_name);
+                write_time_trigger(xml, trigger, Rule::GreaterOrEqual, start_s)
             })
         })
     })
@@ -151,9 +155,8 @@ fn write_maneuver_group(xml: &mut Xml, maneuver: &impl VehicleManeuver) -> io::R
 
 fn write_time_trigger(
     xml: &mut Xml,
-    trigger: &str,
-    name: &str,
-    rule: &str,
+    (trigger, name): (&str, &str),
+    rule: Rule,
     time_s: f64,
 ) -> io::Result<()> {
     let condition = [("name", name), ("delay", "0"), ("conditionEdge", "none")];
@@ -162,8 +165,8 @@ fn write_time_trigger(
         &format!("{trigger}/ConditionGroup/Condition"),
         &condition,
         |xml| {
-            let time = [("value", &*format_number(time_s)), ("rule", rule)];
-            write_empty_element(xml, "ByValueCondition/SimulationTimeCondition", &time)
+            let time = [("value", &*format_number(time_s)), ("rule", rule.name())];
+            write_empty_element(xml, path::SIMULATION_TIME, &time)
         },
     )
 }
@@ -171,13 +174,13 @@ fn write_time_trigger(
 /// Writes a speed action. Arguments of the dynamics: shape, dimension, and value.
 pub(super) fn write_speed_action(
     xml: &mut Xml,
-    (shape, dimension, value): (&str, &str, f64),
+    (shape, dimension, value): (TransitionShape, TransitionDimension, f64),
     target_mps: f64,
 ) -> io::Result<()> {
-    write_element(xml, "SpeedAction", &[], |xml| {
+    write_element(xml, path::SPEED_ACTION, &[], |xml| {
         let dynamics = [
-            ("dynamicsShape", shape),
-            ("dynamicsDimension", dimension),
+            ("dynamicsShape", shape.name()),
+            ("dynamicsDimension", dimension.name()),
             ("value", &format_number(value)),
         ];
         write_empty_element(xml, "SpeedActionDynamics", &dynamics)?;

@@ -7,8 +7,8 @@ use crumple_core::format_version::check_version;
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
 use super::{
-    LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec,
-    TracksSpec,
+    BehindSpec, LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing,
+    SpeedSpec, TimeSpec, TracksSpec,
 };
 
 pub(super) const MAP_VERSION: u32 = 1;
@@ -100,7 +100,7 @@ pub(in crate::recording) struct ColumnRole {
     pub(in crate::recording) is_clock: bool,
     /// An id of a vehicle, a lane or an event.
     pub(in crate::recording) is_id: bool,
-    /// A column of spacings or positions.
+    /// A column of spacings or positions that gives the times of the rows.
     pub(in crate::recording) is_spacing: bool,
 }
 
@@ -131,7 +131,8 @@ impl RecordingMapSpec {
             is_id: field.ends_with(".event")
                 || field.ends_with(".vehicle")
                 || field.ends_with(".lane"),
-            is_spacing: field.ends_with("spacing.column") || field.ends_with("position.column"),
+            is_spacing: field.ends_with("position.column")
+                || field.ends_with("spacing.column") && !field.contains(".behind."),
         })
     }
 
@@ -163,6 +164,7 @@ fn pair_columns(spec: &PairsSpec) -> Vec<OptionalColumn<'_>> {
     let follower_speed = spec.follower_speed.as_ref();
     let leader_speed = spec.leader_speed.as_ref();
     let relative_speed = spec.relative_speed.as_ref();
+    let behind = spec.behind.as_ref();
     vec![
         ("layout.pairs.event", spec.event.as_ref()),
         ("layout.pairs.spacing.column", Some(&spec.spacing.column)),
@@ -185,6 +187,18 @@ fn pair_columns(spec: &PairsSpec) -> Vec<OptionalColumn<'_>> {
         (
             "layout.pairs.relative_speed.column",
             relative_speed.map(|speed| &speed.column),
+        ),
+        (
+            "layout.pairs.behind.spacing.column",
+            behind.map(|behind| &behind.spacing.column),
+        ),
+        (
+            "layout.pairs.behind.speed.column",
+            behind.and_then(|behind| Some(&behind.speed.as_ref()?.column)),
+        ),
+        (
+            "layout.pairs.behind.relative_speed.column",
+            behind.and_then(|behind| Some(&behind.relative_speed.as_ref()?.column)),
         ),
     ]
 }
@@ -254,7 +268,23 @@ fn check_pairs(spec: &PairsSpec) -> Result<(), FieldError> {
         let problem = "needs two of follower_speed, leader_speed and relative_speed";
         return Err(FieldError::new("layout.pairs", problem));
     }
+    if let Some(behind) = &spec.behind {
+        check_behind(behind)?;
+    }
     check_length("layout.pairs", spec.spacing.from, spec.length_m)
+}
+
+fn check_behind(spec: &BehindSpec) -> Result<(), FieldError> {
+    const FIELD: &str = "layout.pairs.behind";
+    if spec.speed.is_some() == spec.relative_speed.is_some() {
+        let problem = "needs either speed or relative_speed";
+        return Err(FieldError::new(FIELD, problem));
+    }
+    if acceleration(spec.speed.as_ref()).is_some() {
+        let problem = "acceleration: is not used for the vehicle behind: remove it";
+        return Err(FieldError::new(format!("{FIELD}.speed"), problem));
+    }
+    check_length(FIELD, spec.spacing.from, spec.length_m)
 }
 
 /// Requires a length exactly where spacings are from front to front.

@@ -210,6 +210,28 @@ pub struct PairsSpec {
     /// Column of the difference of the two.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub relative_speed: Option<RelativeSpeedSpec>,
+    /// Columns of the vehicle behind the follower, as a rear radar measures it. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub behind: Option<BehindSpec>,
+}
+
+/// Columns of the vehicle behind the follower: the spacing, and its speed or the difference of speeds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct BehindSpec {
+    /// Column of spacings between the follower and the vehicle behind it.
+    pub spacing: SpacingSpec,
+    /// Length of the follower in metres, required for spacings from front to front.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 100.0)))]
+    pub length_m: Option<f64>,
+    /// Column of the speed of the vehicle behind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed: Option<SpeedSpec>,
+    /// Column of the difference of speeds, in place of `speed`; the follower is the leader of the vehicle behind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub relative_speed: Option<RelativeSpeedSpec>,
 }
 
 /// Columns of one vehicle among many, as in highD and NGSIM.

@@ -10,7 +10,7 @@ mod conversion;
 mod dbc;
 mod group;
 #[cfg(test)]
-mod test_file;
+pub(super) mod test_file;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -85,7 +85,7 @@ impl TestFile {
 }
 
 /// A frame: bus channel, id with the bit of extended ones, and its bytes.
-pub(super) type TestFrame = (u8, u32, [u8; 8]);
+pub(in crate::recording) type TestFrame = (u8, u32, [u8; 8]);
 
 /// Returns the record of a frame without its time.
 fn frame_record((channel, id, bytes): &TestFrame) -> Vec<u8> {
@@ -100,7 +100,7 @@ fn frame_record((channel, id, bytes): &TestFrame) -> Vec<u8> {
 }
 
 /// Returns a file of raw CAN frames.
-pub(super) fn frames_file(frames: &[TestFrame]) -> Vec<u8> {
+pub(in crate::recording) fn frames_file(frames: &[TestFrame]) -> Vec<u8> {
     let mut file = TestFile::new();
     let samples = file.samples(&frames.iter().map(frame_record).collect::<Vec<_>>());
     let channels = [

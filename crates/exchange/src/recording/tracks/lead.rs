@@ -119,6 +119,39 @@ impl LeadVehicle for TrafficLead<'_> {
             .map(|next| next.speed_mps)
     }
 
+    fn speeds_of_follower(
+        &self,
+        start: &SpeedSample,
+        follower: usize,
+        until_ms: i64,
+    ) -> Vec<SpeedSample> {
+        let mut index = start.index;
+        for _ in 0..follower {
+            match self.traffic.point(index).and_then(|point| point.behind) {
+                Some(behind) => index = behind as usize,
+                None => return Vec::new(),
+            }
+        }
+        let points = self.traffic.points.get(index..).unwrap_or_default();
+        let Some(first) = points.first() else {
+            return Vec::new();
+        };
+        let track = points
+            .iter()
+            .take_while(|point| point.track == first.track && point.time_ms <= until_ms);
+        let samples = track.enumerate().filter_map(|(offset, point)| {
+            Some(SpeedSample {
+                index: index + offset,
+                time_ms: point.time_ms,
+                speed_mps: round_to_milli(point.speed_mps?),
+            })
+        });
+        split_at_holes(samples)
+            .into_iter()
+            .next()
+            .unwrap_or_default()
+    }
+
     fn next_behind(&self, _: usize) -> Option<usize> {
         None
     }

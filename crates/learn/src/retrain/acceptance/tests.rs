@@ -2,6 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::retrain::RegressionSpaceResult;
+use crate::rl::EverydayUsefulness;
 
 fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> RegressionResults {
     RegressionResults {
@@ -83,10 +84,10 @@ fn each_objection_alone_rejects_and_old_failures_do_not() {
 #[test]
 fn one_space_cannot_be_traded_for_another() {
     let in_spaces = |high_risk: &[u64], of_no_use: &[u64]| {
-        let space = |name: &str, contacts: &[u64], of_no_use| RegressionSpaceResult {
+        let space = |name: &str, collisions: &[u64], of_no_use| RegressionSpaceResult {
             space: name.to_owned(),
             sample_count: 100,
-            contacts: contacts.to_vec(),
+            collisions: collisions.to_vec(),
             not_useful: of_no_use,
         };
         let traffic = space("traffic", &[], Some(of_no_use.to_vec()));
@@ -108,13 +109,13 @@ fn one_space_cannot_be_traded_for_another() {
         "within chance"
     );
     let many: Vec<u64> = (10..30).collect();
-    let contacts = DiscordantPairs {
+    let collisions = DiscordantPairs {
         only_second_fails: 20,
         only_first_fails: 3,
     };
     let worse = RejectionReason::MoreCollisions {
         space: "high-risk".to_owned(),
-        contacts,
+        collisions,
     };
     assert_eq!(objections(&many, &[]), [worse]);
     let drives = DiscordantPairs {
@@ -134,13 +135,17 @@ fn one_space_cannot_be_traded_for_another() {
 fn one_measure_of_usability_cannot_be_traded_for_another() {
     let useful = TrafficUsefulness {
         scenario_count: 1000,
-        contacts: 0,
+        collisions: 0,
         hard_braking: 3,
         fell_behind: 0,
         acceleration_times_idm: 1.1,
         jerk_times_idm: 0.9,
         mean_time_gap_s: 1.9,
         line_gain: Some(0.3),
+        everyday: Some(EverydayUsefulness {
+            faults: 5,
+            jerk_times_idm: 1.2,
+        }),
     };
     let before = RegressionResults {
         usefulness: Some(useful),
@@ -213,6 +218,14 @@ fn one_measure_of_usability_cannot_be_traded_for_another() {
         ..useful
     });
     assert_eq!(hard, ["in traffic hard unnecessary braking 4 instead of 3"]);
+    let everyday = worse(TrafficUsefulness {
+        everyday: Some(EverydayUsefulness {
+            faults: 6,
+            jerk_times_idm: 1.0,
+        }),
+        ..useful
+    });
+    assert_eq!(everyday, ["in traffic faults in everyday 6 instead of 5"]);
     let jerk = worse(TrafficUsefulness {
         hard_braking: 0,
         jerk_times_idm: 1.1,

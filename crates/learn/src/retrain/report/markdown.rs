@@ -15,7 +15,7 @@ use crate::rl::TrafficUsefulness;
 use crumple_core::digits::format_rounded;
 use crumple_core::markdown::Markdown;
 use crumple_core::quoting::MarkdownCode;
-use crumple_evidence::{DiscordantPairs, RateInterval};
+use crumple_evidence::DiscordantPairs;
 
 /// Returns the present name of a preset: files keep the name `harden` of the preset `retrain`.
 fn preset_name(name: &str) -> &str {
@@ -192,7 +192,7 @@ impl RetrainingReport {
             vec![
                 retrained.space.clone(),
                 retrained.sample_count.to_string(),
-                describe_change(&first.contacts, &retrained.contacts),
+                describe_change(&first.collisions, &retrained.collisions),
                 drives.map_or("–".to_owned(), |(first, retrained)| {
                     describe_change(first, retrained)
                 }),
@@ -256,15 +256,15 @@ fn round_row(round: &Round) -> Vec<String> {
 
 /// Returns the row of a controller in a test set of `runs` scenarios.
 fn tally_row(tally: &ControllerTally, runs: u64) -> Vec<String> {
-    let RateInterval { lower, upper } = tally.interval(runs);
-    let rate = tally.contacts as f64 / runs.max(1) as f64;
+    let interval = tally.interval(runs);
+    let rate = tally.collisions as f64 / runs.max(1) as f64;
     vec![
         tally.controller.clone(),
-        tally.contacts.to_string(),
+        tally.collisions.to_string(),
         tally.into_the_leader.to_string(),
-        (tally.contacts - tally.into_the_leader).to_string(),
+        (tally.collisions - tally.into_the_leader).to_string(),
         format!("{:.3} %", 100.0 * rate),
-        format!("{:.3} to {:.3} %", 100.0 * lower, 100.0 * upper),
+        format!("{} %", interval.to_percent_text(3)),
     ]
 }
 

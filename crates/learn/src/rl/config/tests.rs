@@ -30,6 +30,13 @@ fn steps_become_smaller_from_the_end_of_the_random_episodes_on() {
 }
 
 #[test]
+fn presets_have_no_old_names() {
+    for (name, text) in PRESETS {
+        assert_eq!(old_names::TRAINING.find(text), [], "{name}");
+    }
+}
+
+#[test]
 fn the_paper_preset_is_the_papers() {
     let paper = TrainingConfig::preset("paper").unwrap();
     assert_eq!(paper.network.hidden, [256; 3]);
@@ -52,7 +59,7 @@ fn the_paper_preset_is_the_papers() {
     assert_eq!(
         (
             paper.environment.step_reward,
-            paper.environment.contact_reward
+            paper.environment.collision_reward
         ),
         (15.0, -3000.0)
     );

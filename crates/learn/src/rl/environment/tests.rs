@@ -53,7 +53,7 @@ fn a_safe_episode_returns_22_500_and_credits_standstill() {
 }
 
 #[test]
-fn a_contact_costs_its_harm_in_addition() {
+fn a_collision_costs_its_harm_in_addition() {
     let with = |harm_reward: f64| {
         drive_paper_2(
             &EnvironmentConfig {
@@ -75,7 +75,7 @@ fn a_collision_costs_3000_and_ends_the_episode() {
     let last = all.last().unwrap();
     assert_eq!(
         (last.ending, last.continues),
-        (EpisodeEnding::Contact, false)
+        (EpisodeEnding::Collision, false)
     );
     assert_eq!((total + 3000.0) % 15.0, 0.0);
     assert!(last.reward < -19.0 && all[0].reward == 1.0);

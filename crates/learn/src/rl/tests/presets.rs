@@ -311,7 +311,7 @@ fn contradictory_settings_are_named() {
             road,
             "space = \"high-risk\"",
             "\"traffic\"",
-            "spaces[1].space: `traffic` is named twice",
+            "spaces[3].space: `traffic` is named twice",
         ),
     ] {
         let at = text.lines().position(|line| line.starts_with(key)).unwrap();

@@ -331,17 +331,17 @@ fn trainings_on_different_scenarios_are_distinguished() {
 }
 
 #[test]
-fn a_random_action_is_held_and_then_more_episodes_end_in_contact() {
-    let contacts = |hold| {
+fn a_random_action_is_held_and_then_more_episodes_end_in_collision() {
+    let collisions = |hold| {
         let mut config = TrainingConfig::preset("paper").unwrap();
         config.network.hidden = vec![4];
         config.exploration.random_hold_steps = hold;
         let mut trainer = Trainer::new(&config, 3);
         (0..20)
-            .filter(|_| trainer.run_episode().unwrap().ending == EpisodeEnding::Contact)
+            .filter(|_| trainer.run_episode().unwrap().ending == EpisodeEnding::Collision)
             .count()
     };
-    let (each_step, each_second) = (contacts(1), contacts(100));
+    let (each_step, each_second) = (collisions(1), collisions(100));
     assert!(
         each_step <= 5 && each_second >= 12,
         "{each_step} {each_second} of 20"
@@ -353,7 +353,7 @@ fn without_ranking_draws_nothing_is_mastered() {
     let mut config = TrainingConfig::preset("fast").unwrap();
     config.evaluation.screening_draws = 4;
     let master_gap_m = config.evaluation.master_gap_m;
-    for (ranking_draws, contacts) in [(4, Some(0)), (0, None)] {
+    for (ranking_draws, collisions) in [(4, Some(0)), (0, None)] {
         config.evaluation.ranking_draws = ranking_draws;
         let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
         let evaluation = held_out
@@ -361,10 +361,10 @@ fn without_ranking_draws_nothing_is_mastered() {
             .unwrap();
         assert_eq!(
             (
-                evaluation.ranking_contacts,
+                evaluation.ranking_collisions,
                 evaluation.is_mastered(master_gap_m)
             ),
-            (contacts, contacts.is_some())
+            (collisions, collisions.is_some())
         );
     }
 }
@@ -459,7 +459,7 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
         fast.to_header_value().unwrap(),
         "the committed preset reproduces the committed policy"
     );
-    let contacts = |scenarios: &[Scenario], estimator| {
+    let collisions = |scenarios: &[Scenario], estimator| {
         let options = RunOptions::new(Arc::clone(&policy)).with_estimator(estimator);
         let runs: Vec<_> = scenarios
             .iter()
@@ -474,10 +474,10 @@ fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
         .map(|name| built_in_scenario(name).unwrap())
         .into();
     for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-        assert_eq!(contacts(&paper, estimator), 0, "{estimator:?}");
+        assert_eq!(collisions(&paper, estimator), 0, "{estimator:?}");
     }
     let draws: Vec<_> = (0..1000)
         .map(|index| PaperDistribution { seed: 1 }.draw(index).unwrap())
         .collect();
-    assert!(contacts(&draws, EstimatorKind::Kalman) <= 1);
+    assert!(collisions(&draws, EstimatorKind::Kalman) <= 1);
 }

@@ -186,7 +186,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
                     action,
                     reward,
                     continues: true,
-                    contact: false,
+                    collision: false,
                     expert_action: None,
                 });
             }

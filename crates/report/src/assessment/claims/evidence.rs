@@ -27,7 +27,7 @@ pub struct EvidenceSource {
     pub what: String,
     /// Path of the file behind the evidence, relative to the report folder; absent if the report itself is the source.
     pub file: Option<String>,
-    /// SHA-256 of that file, in hexadecimal.
+    /// SHA-256 of the certificate in that file, in hexadecimal, as `crumple check` prints it.
     pub sha256: Option<String>,
 }
 

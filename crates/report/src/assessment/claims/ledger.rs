@@ -21,7 +21,7 @@ pub struct ClaimStatus {
     /// Strongest known support or refutation.
     #[serde(flatten)]
     pub strength: Strength,
-    /// Rule that leads to the strength; absent without evidence.
+    /// Rule that leads to the strength; absent if no evidence decides the claim.
     pub rule: Option<InferenceRule>,
     /// Indices in the ledger of the evidence behind the strength.
     pub evidence: Vec<usize>,
@@ -141,7 +141,7 @@ impl Ledger {
             };
         }
         if readings.is_empty() {
-            return ClaimStatus::default();
+            return self.undecided_status(claim);
         }
         let SecondaryEvidence {
             strength,
@@ -153,6 +153,30 @@ impl Ledger {
             rule: Some(rule),
             evidence: vec![evidence],
             secondary: readings,
+        }
+    }
+
+    /// Returns the status of a claim that no evidence decides: not shown if it is about every run of its domain, and
+    /// evidence is about a part. Random scenarios are no part of a count: a rate that was not counted is not examined.
+    fn undecided_status(&self, claim: &AssuranceClaim) -> ClaimStatus {
+        let about_part = self.evidence.iter().enumerate().filter(|(_, evidence)| {
+            let own = &evidence.claim;
+            evidence.strength != Strength::Untried
+                && claim.property.is_universal()
+                && own.subject == claim.subject
+                && own.property.implies(&claim.property)
+                && claim.domain.covers(&own.domain)
+        });
+        let evidence: Vec<usize> = about_part.map(|(index, _)| index).collect();
+        let strength = if evidence.is_empty() {
+            Strength::Untried
+        } else {
+            Strength::NotShown
+        };
+        ClaimStatus {
+            strength,
+            evidence,
+            ..ClaimStatus::default()
         }
     }
 

@@ -7,6 +7,7 @@
 mod evidence;
 mod inference_rule;
 mod ledger;
+mod level;
 mod strength;
 
 use crumple_core::digest::sha256;
@@ -18,6 +19,7 @@ use super::Rounded;
 pub use evidence::{Evidence, EvidenceSource};
 pub use inference_rule::InferenceRule;
 pub use ledger::{ClaimStatus, Ledger, SecondaryEvidence};
+pub use level::StrengthLevel;
 pub(super) use strength::{MAX_GAIN, RateBounds};
 pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
@@ -77,10 +79,12 @@ pub struct Subject {
 #[non_exhaustive]
 pub enum Property {
     /// No vehicle under test collides, and its controller does not fail.
-    NoContact,
+    #[serde(alias = "no_contact")]
+    NoCollision,
     /// No vehicle under test collides with its leader.
-    NoContactAhead,
-    /// Failure rate: share of runs that violate `NoContact`. For evidence only, because it states no limit.
+    #[serde(alias = "no_contact_ahead")]
+    NoCollisionAhead,
+    /// Failure rate: share of runs that violate `NoCollision`. For evidence only, because it states no limit.
     FailureRate,
     /// The failure rate is at most this.
     RateAtMost {
@@ -144,6 +148,13 @@ pub enum Domain {
         /// Simulations of each method.
         budget: u64,
     },
+    /// Recorded drives, each once.
+    RecordedDrives {
+        /// Folder, and the hash of all its drives.
+        drives: ContentId,
+        /// Number of drives.
+        count: u64,
+    },
     /// Tests of a suite, at its fixed points and at those searched within its ranges.
     Suite {
         /// Suite.
@@ -199,10 +210,10 @@ impl Property {
     #[must_use]
     pub fn describe(&self) -> String {
         match self {
-            Self::NoContact => "no collision".to_owned(),
-            Self::NoContactAhead => "no collision with the leader".to_owned(),
-            Self::FailureRate => "collision rate".to_owned(),
-            Self::RateAtMost { percent } => format!("collision rate at most {} %", percent.value()),
+            Self::NoCollision => "no collision".to_owned(),
+            Self::NoCollisionAhead => "no collision with the leader".to_owned(),
+            Self::FailureRate => "failure rate".to_owned(),
+            Self::RateAtMost { percent } => format!("failure rate at most {} %", percent.value()),
             Self::FailsLessOften { than } => format!("fewer failures than {}", than.name),
             Self::NoUnnecessaryBraking => "no unnecessary braking".to_owned(),
             Self::KeepsUp => "never falls behind".to_owned(),
@@ -215,10 +226,10 @@ impl Property {
     #[must_use]
     pub(crate) fn describe_violation(&self) -> String {
         match self {
-            Self::NoContact => "collision".to_owned(),
-            Self::NoContactAhead => "collision with the leader".to_owned(),
+            Self::NoCollision => "collision".to_owned(),
+            Self::NoCollisionAhead => "collision with the leader".to_owned(),
             Self::FailureRate => self.describe(),
-            Self::RateAtMost { percent } => format!("collision rate above {} %", percent.value()),
+            Self::RateAtMost { percent } => format!("failure rate above {} %", percent.value()),
             Self::FailsLessOften { than } => format!("no fewer failures than {}", than.name),
             Self::NoUnnecessaryBraking => "unnecessary braking".to_owned(),
             Self::KeepsUp => "falls behind".to_owned(),
@@ -230,7 +241,7 @@ impl Property {
 
     #[must_use]
     pub(crate) fn implies(&self, weaker: &Self) -> bool {
-        self == weaker || (*self == Self::NoContact && *weaker == Self::NoContactAhead)
+        self == weaker || (*self == Self::NoCollision && *weaker == Self::NoCollisionAhead)
     }
 
     /// True for a property of every run of a domain: one run refutes it.
@@ -238,7 +249,7 @@ impl Property {
     pub(crate) fn is_universal(&self) -> bool {
         matches!(
             self,
-            Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking
+            Self::NoCollision | Self::NoCollisionAhead | Self::NoUnnecessaryBraking
         )
     }
 }
@@ -259,6 +270,9 @@ impl Domain {
             Self::Space { space } => format!("anywhere in `{}`", space.name),
             Self::Search { space, budget, .. } => {
                 format!("in a search of `{}` ({budget} per method)", space.name)
+            }
+            Self::RecordedDrives { drives, count } => {
+                format!("in {count} recorded drives of `{}`", drives.name)
             }
             Self::Suite { suite } => {
                 format!("of suite `{}`, on point masses in one lane", suite.name)
@@ -318,7 +332,7 @@ impl AssuranceClaim {
                 format!("in the distribution of `{}`", space.name)
             }
             // The shield assumes a bounded estimation error.
-            (Property::NoContactAhead, Domain::Kernels { .. })
+            (Property::NoCollisionAhead, Domain::Kernels { .. })
                 if self.subject.estimator == EstimatorKind::Kalman =>
             {
                 format!(

@@ -1,7 +1,10 @@
 //! The strength of evidence for a claim.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::{Map, Value};
 
+use super::StrengthLevel;
 use crate::assessment::Rounded;
 use crate::assessment::table::CellMark;
 use crumple_sim::engine::FailedControllerRuns;
@@ -12,10 +15,15 @@ pub const MIN_CONFIDENCE_PERCENT: f64 = 95.0;
 /// Largest gain of a line that damps oscillations, after rounding to three decimals.
 pub(in crate::assessment) const MAX_GAIN: f64 = 1.0;
 
-/// The strength of evidence for a claim.
+/// The strength of evidence for a claim. JSON has its [`StrengthLevel`] as `strength`, and its kind as `basis`. Before
+/// 0.4.0 the field `strength` had the kind; such files are still read.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(tag = "strength", rename_all = "snake_case")]
+#[cfg_attr(
+    feature = "schema",
+    schemars(rename = "Strength", transform = super::level::add_to_schema)
+)]
+#[serde(remote = "Self", tag = "basis", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Strength {
     /// The checker accepted the certificates in this run; valid under their assumptions.
@@ -26,6 +34,13 @@ pub enum Strength {
     /// The property held in all runs; nothing more is known.
     Tested {
         /// Number of runs, at least one.
+        runs: u64,
+    },
+    /// The property held in all runs that decide it; others ended too early.
+    PartlyTested {
+        /// Number of runs that decide nothing.
+        undecided: u64,
+        /// Number of runs in all.
         runs: u64,
     },
     /// The failure rate lies between these bounds, at the stated confidence level.
@@ -144,8 +159,40 @@ pub enum Strength {
     },
     /// Some evidence asserts the claim and some refutes it: one piece is wrong.
     Contradicted,
-    /// No evidence for or against the claim.
+    /// Evidence about the claim or a part of its domain was gathered, and decides nothing.
+    NotShown,
+    /// No evidence about the claim was gathered.
     Untried,
+}
+
+/// JSON form of a strength.
+#[derive(Serialize)]
+struct StrengthForm<'a> {
+    strength: StrengthLevel,
+    #[serde(flatten, serialize_with = "Strength::serialize")]
+    basis: &'a Strength,
+}
+
+impl Serialize for Strength {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let form = StrengthForm {
+            strength: self.level(),
+            basis: self,
+        };
+        form.serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Strength {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut fields = Map::<String, Value>::deserialize(deserializer)?;
+        if !fields.contains_key("basis")
+            && let Some(kind) = fields.remove("strength")
+        {
+            fields.insert("basis".to_owned(), kind);
+        }
+        Self::deserialize(Value::Object(fields)).map_err(D::Error::custom)
+    }
 }
 
 impl Strength {
@@ -153,9 +200,18 @@ impl Strength {
     #[must_use]
     pub fn from_counts(failures: u64, runs: u64) -> Self {
         match (failures, runs) {
-            (_, 0) => Self::Untried,
+            (_, 0) => Self::NotShown,
             (0, _) => Self::Tested { runs },
             _ => Self::Refuted { failures, runs },
+        }
+    }
+
+    /// Returns the strength if some of the runs without a failure decide nothing, because they ended too early.
+    #[must_use]
+    pub(crate) fn with_undecided(self, undecided: u64) -> Self {
+        match self {
+            Self::Tested { runs } if undecided > 0 => Self::PartlyTested { undecided, runs },
+            other => other,
         }
     }
 
@@ -208,7 +264,7 @@ impl Strength {
                 runs,
             }
         } else {
-            Self::Untried
+            Self::NotShown
         }
     }
 
@@ -300,6 +356,7 @@ impl Strength {
             Self::Compared { own, other, .. } if own > other => 8.0,
             Self::Compared { own, other, .. } if own < other => 3.0,
             Self::Compared { .. } => 1.5,
+            Self::PartlyTested { .. } => 1.45,
             Self::Tested { runs } => 3.0 + squash(*runs as f64),
             Self::Gain { largest, .. } if self.is_refutation() => 8.0 + squash(largest.value()),
             Self::Gain { points, .. } => 3.0 + squash(*points as f64),
@@ -310,20 +367,43 @@ impl Strength {
             } => 2.0 - squash(upper_percent.value() - lower_percent.value()),
             Self::NotShownByCounting { .. } => 1.2,
             Self::Between { .. } => 1.0,
+            Self::NotShown => 0.5,
             Self::Untried => 0.0,
         }
     }
 
+    /// Returns the word for the strength.
+    #[must_use]
+    pub fn level(&self) -> StrengthLevel {
+        match self {
+            _ if self.is_refutation() => StrengthLevel::Refuted,
+            Self::Proved { .. } => StrengthLevel::Proved,
+            Self::Bounded { .. } | Self::Counted { .. } | Self::Between { .. } => {
+                StrengthLevel::Bounded
+            }
+            Self::Tested { .. } | Self::Gain { .. } => StrengthLevel::Tested,
+            Self::Compared { own, other, .. } if own < other => StrengthLevel::Tested,
+            Self::Untried => StrengthLevel::NotExamined,
+            _ => StrengthLevel::NotShown,
+        }
+    }
+
     pub(in crate::assessment) fn mark(&self) -> CellMark {
-        match self.rank() {
-            0 => CellMark::Bad,
-            1 => CellMark::Neutral,
+        match (self.rank(), self.level()) {
+            (0, _) => CellMark::Bad,
+            (1, _) => CellMark::Neutral,
+            (_, StrengthLevel::Tested) => CellMark::Tested,
             _ => CellMark::Good,
         }
     }
 
-    /// Describes the strength in words that follow the claim and a colon.
+    /// Describes the strength in words that follow the claim and a colon: its level, and the facts.
     pub(in crate::assessment) fn describe(&self) -> String {
+        self.level().introduce(&self.describe_facts())
+    }
+
+    /// Describes the facts behind the strength, without its level; empty if there are none.
+    pub(in crate::assessment) fn describe_facts(&self) -> String {
         match self {
             Self::Falsified {
                 failures,
@@ -351,39 +431,44 @@ impl Strength {
                 runs,
                 reason,
             } => {
-                format!(
-                    "not shown, because the other controller gave no answer in {unanswered} of {runs}: {reason}"
-                )
+                format!("the other controller gave no answer in {unanswered} of {runs}: {reason}")
             }
             Self::PartlyProved { share_percent } => {
-                format!("proved for {share_percent} % of the box")
+                format!("{share_percent} % of the box are proved")
             }
-            Self::Proved { .. } => "proved".to_owned(),
+            Self::Proved { .. } | Self::NotShown | Self::Untried => String::new(),
             Self::Tested { runs: 1 } => "holds in one run".to_owned(),
             Self::Tested { runs } => format!("0 of {runs} fail"),
+            Self::PartlyTested { undecided, runs } => {
+                format!("0 of {runs} fail, {undecided} undecided")
+            }
             Self::Gain { largest, points } => {
                 format!("largest gain {largest} of {points} operating points")
             }
             Self::Between { .. } | Self::Bounded { .. } | Self::Exceeded { .. } => {
                 self.describe_bounds()
             }
-            Self::Undecided { .. } => format!("undecided: {}", self.describe_bounds()),
+            Self::Undecided { .. } => self.describe_bounds(),
             Self::Counted {
                 confidence_percent, ..
             } => format!("shown by counts, confidence {confidence_percent} %"),
-            Self::NotShownByCounting { runs, .. } => format!("not shown by {runs} counted runs"),
+            Self::NotShownByCounting { runs, .. } => format!("{runs} counted runs do not show it"),
             Self::Compared { own, other, runs } => match own.cmp(other) {
-                std::cmp::Ordering::Equal => format!("not shown: both fail in {own} of {runs}"),
+                std::cmp::Ordering::Equal => format!("both fail in {own} of {runs}"),
                 _ => format!("{own} against {other} of {runs} fail"),
             },
             Self::Refuted { failures, runs } => format!("{failures} of {runs} fail"),
             Self::Contradicted => "contradictory evidence".to_owned(),
-            Self::Untried => "not shown".to_owned(),
         }
     }
 
-    /// Describes the strength in a cell of the table of claims, whose legend explains the numbers.
+    /// Describes the strength in a cell of the table of claims: its level, and numbers that the legend explains.
     pub(in crate::assessment) fn table_text(&self) -> String {
+        self.level().introduce(&self.table_numbers())
+    }
+
+    /// Returns the numbers of a cell of the table of claims; empty if there are none.
+    fn table_numbers(&self) -> String {
         match self {
             Self::Falsified {
                 failures,
@@ -399,10 +484,12 @@ impl Strength {
                 0 => format!("no answer in {unanswered} of {runs}"),
                 _ => format!("{failures} of {runs}, no answer in {unanswered}"),
             },
-            Self::OtherUnanswered { .. } => "not shown".to_owned(),
-            Self::PartlyProved { share_percent } => format!("proved for {share_percent} %"),
+            Self::PartlyProved { share_percent } => format!("{share_percent} % proved"),
             Self::Tested { runs } => format!("0 of {runs}"),
-            Self::Gain { largest, .. } => largest.to_string(),
+            Self::PartlyTested { undecided, runs } => {
+                format!("0 of {runs}, {undecided} undecided")
+            }
+            Self::Gain { largest, .. } => format!("gain {largest}"),
             Self::Refuted { failures, runs } => format!("{failures} of {runs}"),
             Self::Bounded { .. }
             | Self::Exceeded { .. }
@@ -412,12 +499,12 @@ impl Strength {
                 .map_or_else(String::new, |bounds| bounds.table_text()),
             Self::Counted {
                 confidence_percent, ..
-            } => format!("shown ({confidence_percent} %)"),
-            Self::NotShownByCounting { .. } => "not shown".to_owned(),
+            } => format!("fewer ({confidence_percent} %)"),
+            Self::NotShownByCounting { runs, .. } => format!("{runs} counted"),
             Self::Compared { own, other, .. } => format!("{own} against {other}"),
-            Self::Proved { .. } => "proved".to_owned(),
             Self::Contradicted => "contradictory".to_owned(),
-            Self::Untried => "not shown".to_owned(),
+            Self::OtherUnanswered { .. } | Self::Proved { .. } => String::new(),
+            Self::NotShown | Self::Untried => String::new(),
         }
     }
 

@@ -1,11 +1,12 @@
 //! Gates on certificates.
 
-use super::{GateInputs, GateRule, GateVerdict};
+use super::{GateInputs, GateMetric, GateRule, GateVerdict};
 use crate::assessment::{AssessConfig, CertificateStatus};
 
 pub(super) fn accepted(_config: &AssessConfig) -> GateRule<'static> {
     GateRule::new(
         "the checker accepts every certificate".to_owned(),
+        GateMetric::none_of("rejected certificates"),
         None,
         check_certificates,
     )
@@ -24,12 +25,16 @@ fn check_certificates(inputs: &GateInputs<'_>) -> GateVerdict {
         .iter()
         .filter(|proof| !proof.is_accepted())
         .collect();
-    match rejected.first() {
-        None => GateVerdict::new(all > 0, format!("{all} of {all} certificates are accepted")),
+    let verdict = match rejected.first() {
+        None => GateVerdict::new(
+            all > 0,
+            format!("{all} of {all} files in `certificates` are accepted"),
+        ),
         Some(first) => GateVerdict::fails(format!(
-            "{} of {all} are rejected; first: {}",
+            "{} of {all} certificates are rejected; first: {}",
             rejected.len(),
             first.name
         )),
-    }
+    };
+    verdict.with_value(rejected.len() as f64)
 }

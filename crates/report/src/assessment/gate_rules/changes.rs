@@ -1,11 +1,12 @@
 //! Gates on changes since an earlier assessment.
 
-use super::{GateRule, GateVerdict};
+use super::{GateMetric, GateRule, GateVerdict};
 use crate::assessment::{AssessConfig, AssessmentChange, AssessmentComparison};
 
 pub(super) fn nothing_worse(_config: &AssessConfig) -> GateRule<'static> {
     GateRule::new(
         "no result is worse than in the earlier assessment".to_owned(),
+        GateMetric::none_of("results that are worse, new failures, or missing"),
         None,
         |inputs| check_nothing_worse(inputs.comparison),
     )
@@ -18,7 +19,8 @@ fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> GateVerdict
     if comparison.has_no_overlap() {
         return GateVerdict::fails("the earlier assessment has no result in common with this one");
     }
-    match regressions(comparison).as_slice() {
+    let worse = regressions(comparison);
+    let verdict = match worse.as_slice() {
         [] => GateVerdict::holds(format!(
             "no result is worse{}",
             comparison.describe_changed()
@@ -28,7 +30,8 @@ fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> GateVerdict
             1 + others.len(),
             first.description
         )),
-    }
+    };
+    verdict.with_value(worse.len() as f64)
 }
 
 /// Returns the worse results. A new failure, and a result other than a failure that is gone, count as worse.

@@ -1,43 +1,53 @@
 //! Gates on collisions in scenarios of the paper, of files, and of a space.
 
-use super::{ConfigProblem, GateInputs, GateRule, GateVerdict, require};
+use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict, is_in_space, require};
 use crate::assessment::case::CaseVerdict;
+use crate::assessment::claims::{Domain, Property};
 use crate::assessment::config::EVERYDAY_SPACES;
+use crate::assessment::parts::{FILE_SCENARIOS_ANCHOR, PAPER_ANCHOR};
 use crate::assessment::{AssessConfig, RunEnds, ScenarioCases};
 
 pub(super) fn in_paper_scenarios<'a>(config: &AssessConfig, controller: &'a str) -> GateRule<'a> {
     GateRule::new(
         format!("{controller}: no collision in the paper's scenarios"),
+        GateMetric::none_of("runs that fail"),
         require(config.paper, "`paper = true`"),
         |inputs| {
             let paper = inputs.results.paper_scenarios.as_ref();
             check_no_collision(paper.map_or(&[], |paper| &paper.scenarios), controller)
         },
     )
+    .about(|row, claim| claim.property == Property::NoCollision && row.part == PAPER_ANCHOR)
 }
 
 pub(super) fn in_scenario_files<'a>(config: &AssessConfig, controller: &'a str) -> GateRule<'a> {
     let has_files = !config.scenarios.is_empty() || !config.recordings.is_empty();
     GateRule::new(
         format!("{controller}: no collision in scenario files and recordings"),
+        GateMetric::none_of("runs that fail"),
         require(has_files, "`scenarios` or `recordings`"),
         |inputs| {
             let files = inputs.results.file_scenarios.as_ref();
             check_no_collision(files.map_or(&[], |files| &files.scenarios), controller)
         },
     )
+    .about(|row, claim| {
+        claim.property == Property::NoCollision && row.part == FILE_SCENARIOS_ANCHOR
+    })
 }
 
 fn check_no_collision(scenarios: &[ScenarioCases], controller: &str) -> GateVerdict {
     let runs = conclusive_runs(scenarios, controller);
     let ends = RunEnds::from_verdicts(runs.iter().map(|run| run.verdict));
+    let failures = ends.failures() as f64;
     if let Some(unanswered) = ends.unanswered {
         let first = runs.iter().find(|run| run.verdict.unanswered().is_some());
         return GateVerdict::fails(format!(
             "it {} (first in {})",
             unanswered.describe(runs.len() as u64),
             first.map_or("", |run| run.scenario)
-        ));
+        ))
+        .with_value(failures);
     }
     let failing: Vec<_> = runs
         .iter()
@@ -45,9 +55,12 @@ fn check_no_collision(scenarios: &[ScenarioCases], controller: &str) -> GateVerd
         .map(|run| run.scenario)
         .collect();
     match (failing.is_empty(), runs.len()) {
-        (false, _) => GateVerdict::fails(format!("it collides in {}", failing.join(", "))),
+        (false, _) => GateVerdict::fails(format!("it collides in {}", failing.join(", ")))
+            .with_value(failures),
         (true, 0) => GateVerdict::fails("it has no run"),
-        (true, passing) => GateVerdict::holds(format!("0 of {passing} runs collide")),
+        (true, passing) => {
+            GateVerdict::holds(format!("0 of {passing} runs collide")).with_value(failures)
+        }
     }
 }
 
@@ -79,9 +92,14 @@ pub(super) fn in_space<'a>(
 ) -> GateRule<'a> {
     GateRule::new(
         format!("{controller}: no collision in random scenarios of `{space}`"),
+        GateMetric::none_of("random scenarios that fail or end early"),
         simulated_space_problem(space, config),
         |inputs| check_no_collision_in_space(inputs, controller, space),
     )
+    .about(|_, claim| {
+        let is_drawn = matches!(claim.domain, Domain::Draws { .. });
+        claim.property == Property::NoCollision && is_drawn && is_in_space(claim, space)
+    })
 }
 
 /// Evaluates the random scenarios of `distributions`, or the drives in `traffic` or `high-risk`. Both use the same
@@ -99,10 +117,11 @@ fn check_no_collision_in_space(
         .chain(everyday)
         .max_by_key(|(scenarios, _)| *scenarios);
     match larger_sample {
-        Some((scenarios @ 1.., ends)) => GateVerdict::new(
-            ends.failures() + ends.ended_by_others == 0,
-            describe_ends(&ends, scenarios),
-        ),
+        Some((scenarios @ 1.., ends)) => {
+            let against = ends.failures() + ends.ended_by_others;
+            GateVerdict::new(against == 0, describe_ends(&ends, scenarios))
+                .with_value(against as f64)
+        }
         _ => GateVerdict::fails("no random scenario of the space was simulated"),
     }
 }

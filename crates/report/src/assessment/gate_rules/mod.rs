@@ -1,68 +1,224 @@
-//! The rules of gates: the condition of each in words, what it needs of a configuration, and its evaluation.
+//! Gates: the conditions of an assessment to pass.
 //!
-//! A gate has a row in the table below, which names its rule: a function of its fields.
+//! A gate is a row of the table below, from which the enum, the schema and the list in the printed configuration
+//! follow. The row names the rule of the gate: a function of its fields that returns its condition in words, what it
+//! needs of a configuration, the claim that it is about, and its evaluation.
 
 mod certificates;
 mod changes;
 mod collisions;
 mod drives;
+mod indicator;
 mod rates;
 mod searches;
 mod suites;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use super::claims::{AssuranceClaim, Domain};
+use super::gate::GateConfig;
 use super::{
-    AssessConfig, AssessmentComparison, AssessmentGate, AssessmentPlan, GatheredResults, Ledger,
+    AssessConfig, AssessmentComparison, AssessmentPlan, ClaimRow, GatheredResults, Ledger,
 };
 use crumple_core::quoting::TerminalText;
+use indicator::GateMetric;
+pub use indicator::{IndicatorInterval, SafetyIndicator};
 
-/// Declares the rules of gates. A row has the gate, its fields that name controllers, its other fields, and its rule.
+/// Declares gates. A row has the gate, its name in a configuration, its fields, and its rule. Each field has a role:
+/// `controller`, `space` and `suite` name a part of the configuration, a `number` does not.
 macro_rules! gate_table {
-    ($($gate:ident [$($controller:ident),*] [$($field:ident),*] $rule:path,)*) => {
+    ($(
+        $(#[$attribute:meta])*
+        $gate:ident $name:literal {
+            $($(#[$field_attribute:meta])* $role:ident $field:ident: $type:ty,)*
+        } $rule:path,
+    )*) => {
+        /// A condition that must hold for an assessment to pass.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+        #[cfg_attr(
+            feature = "schema",
+            schemars(transform = super::gate::add_requirement_to_schema)
+        )]
+        #[serde(tag = "require", deny_unknown_fields)]
+        #[non_exhaustive]
+        pub enum AssessmentGate {
+            $($(#[$attribute])* #[serde(rename = $name)] $gate {
+                $($(#[$field_attribute])* $field: $type,)*
+            },)*
+        }
+
+        /// The name of each gate in a configuration, and its fields.
+        const GATES: &[(&str, &[&str])] = &[$(($name, &[$(stringify!($field)),*]),)*];
+
         impl AssessmentGate {
-            /// Returns the fields that name controllers.
-            pub(super) fn controllers_mut(&mut self) -> Vec<(&'static str, &mut String)> {
-                match self {
-                    $(Self::$gate { $($controller,)* .. } => {
-                        vec![$((stringify!($controller), $controller)),*]
+            /// Returns the names of controllers, spaces and suites that the gate states.
+            pub(super) fn names_mut(&mut self) -> Vec<GateName<'_>> {
+                let fields: Vec<Option<GateName<'_>>> = match self {
+                    $(Self::$gate { $($field,)* } => {
+                        vec![$(gate_name!($role $field)),*]
                     })*
-                }
+                };
+                fields.into_iter().flatten().collect()
             }
 
             fn rule(&self, config: &AssessConfig) -> GateRule<'_> {
                 match self {
-                    $(Self::$gate { $($controller,)* $($field,)* } => {
-                        $rule(config, $($controller,)* $($field),*)
-                    })*
+                    $(Self::$gate { $($field,)* } => $rule(config, $($field),*),)*
                 }
             }
         }
     };
 }
 
+/// Returns the name that a field of a gate states, by the role of the field.
+macro_rules! gate_name {
+    (number $field:ident) => {{
+        let _ = $field;
+        None
+    }};
+    (controller $field:ident) => {
+        GateName::new(NameRole::Controller, stringify!($field), $field)
+    };
+    (space $field:ident) => {
+        GateName::new(NameRole::Space, stringify!($field), $field)
+    };
+    (suite $field:ident) => {
+        GateName::new(NameRole::Suite, stringify!($field), $field)
+    };
+}
+
 gate_table! {
-    NoCollisionInPaperScenarios [controller] [] collisions::in_paper_scenarios,
-    NoCollisionInScenarioFiles [controller] [] collisions::in_scenario_files,
-    NoCollisionInSpace [controller] [space] collisions::in_space,
-    RateAtMost [controller] [percent, space] rates::at_most,
-    RateNotAbove [controller, than] [space] rates::not_above,
-    NoAvoidableFailure [controller] [space] searches::no_avoidable_failure,
-    UnnecessaryBrakingAtMost [controller] [percent] drives::unnecessary_braking_at_most,
-    LeftBehindAtMost [controller] [percent] drives::left_behind_at_most,
-    StringStable [controller] [] drives::string_stable,
-    SuitePassed [controller] [suite] suites::passed,
-    ProofsAccepted [] [] certificates::accepted,
-    NothingWorse [] [] changes::nothing_worse,
+    /// A controller collides in none of the paper's scenarios. Before 0.4.0: `no-contact-in-paper-scenarios`.
+    #[serde(alias = "no-contact-in-paper-scenarios")]
+    NoCollisionInPaperScenarios "no-collision-in-paper-scenarios" {
+        /// Name of the controller.
+        controller controller: String,
+    } collisions::in_paper_scenarios,
+    /// A controller collides in none of the scenarios of `scenarios` and `recordings`; spaces are not considered.
+    NoCollisionInScenarioFiles "no-collision-in-scenario-files" {
+        /// Name of the controller.
+        controller controller: String,
+    } collisions::in_scenario_files,
+    /// A controller collides in none of the simulated random scenarios of a space. Scenarios that a collision of other
+    /// vehicles ends count against it.
+    NoCollisionInSpace "no-collision-in-space" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Scenario space: one of `distributions`, or `traffic` or `high-risk` if `everyday_draws` is above 0.
+        space space: String,
+    } collisions::in_space,
+    /// The failure rate of a controller in a scenario space is at most this, by bounds on counted runs.
+    RateAtMost "rate-at-most" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Largest bound that passes, in percent.
+        number percent: f64,
+        /// Scenario space, one of `distributions`. Default: the only one there is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        space space: Option<String>,
+    } rates::at_most,
+    /// A controller collides in no more random scenarios of a space than another one.
+    RateNotAbove "rate-not-above" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Name of the other controller.
+        controller than: String,
+        /// Scenario space, one of `distributions`. Default: the only one there is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        space space: Option<String>,
+    } rates::not_above,
+    /// No search found a failure of a controller that is avoidable or undecided.
+    NoAvoidableFailure "no-avoidable-failure" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Scenario space of the search.
+        space space: String,
+    } searches::no_avoidable_failure,
+    /// A controller brakes unnecessarily in at most this share of its drives in everyday traffic.
+    #[serde(alias = "needless-braking-at-most")]
+    UnnecessaryBrakingAtMost "unnecessary-braking-at-most" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Largest share that passes, in percent.
+        number percent: f64,
+    } drives::unnecessary_braking_at_most,
+    /// A controller falls behind in at most this share of its drives in everyday traffic.
+    LeftBehindAtMost "left-behind-at-most" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Largest share that passes, in percent.
+        number percent: f64,
+    } drives::left_behind_at_most,
+    /// No speed oscillation grows from vehicle to vehicle in a line with a controller: the largest gain over all mean
+    /// speeds and frequencies, rounded to three decimals, is at most 1.000. Before 0.4.0: in a single manoeuvre.
+    StringStable "string-stable" {
+        /// Name of the controller.
+        controller controller: String,
+    } drives::string_stable,
+    /// A controller passes every test of a suite that can be run.
+    SuitePassed "suite-passed" {
+        /// Name of the controller.
+        controller controller: String,
+        /// Suite, as `suites` names it.
+        suite suite: String,
+    } suites::passed,
+    /// The checker accepts every certificate.
+    ProofsAccepted "proofs-accepted" {
+    } certificates::accepted,
+    /// The assessment is compared with an earlier one, and no result is worse.
+    NothingWorse "nothing-worse" {
+    } changes::nothing_worse,
+}
+
+/// The name of a part of the configuration in a field of a gate.
+pub(super) struct GateName<'a> {
+    pub(super) role: NameRole,
+    pub(super) field: &'static str,
+    pub(super) name: &'a mut String,
+}
+
+/// The part of the configuration that a field of a gate names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum NameRole {
+    Controller,
+    Space,
+    Suite,
+}
+
+impl<'a> GateName<'a> {
+    fn new(
+        role: NameRole,
+        field: &'static str,
+        name: impl Into<Option<&'a mut String>>,
+    ) -> Option<Self> {
+        let name = name.into()?;
+        Some(Self { role, field, name })
+    }
+}
+
+/// Returns the gates as lines of comments in a configuration: the name of each, and its fields.
+pub(super) fn gate_comments() -> String {
+    let lines = GATES.iter().map(|(name, fields)| match fields {
+        [] => format!("#   {name}\n"),
+        fields => format!("#   {name}: {}\n", fields.join(", ")),
+    });
+    lines.collect()
 }
 
 /// The rule of a gate.
 struct GateRule<'a> {
     /// Condition in words.
     condition: String,
+    metric: GateMetric,
     problem: Option<ConfigProblem>,
     verdict: Box<dyn Fn(&GateInputs<'_>) -> GateVerdict + 'a>,
+    /// True for the claim that a gate with the spaces' own names is about.
+    is_about: Box<ClaimTest<'a>>,
 }
+
+/// Tells whether a gate is about a claim.
+type ClaimTest<'a> = dyn Fn(&ClaimRow, &AssuranceClaim) -> bool + 'a;
 
 /// A field of a gate, and the problem that prevents any assessment of the configuration from evaluating it.
 type ConfigProblem = (&'static str, String);
@@ -72,6 +228,7 @@ pub(super) struct GateInputs<'a> {
     pub(super) plan: &'a AssessmentPlan,
     pub(super) results: &'a GatheredResults,
     pub(super) evidence: &'a Ledger,
+    pub(super) claims: &'a [ClaimRow],
     pub(super) comparison: Option<&'a AssessmentComparison>,
 }
 
@@ -79,6 +236,9 @@ struct GateVerdict {
     holds: bool,
     /// Deciding fact, in words.
     reason: String,
+    /// Value of the metric, and its interval.
+    value: Option<f64>,
+    interval: Option<IndicatorInterval>,
 }
 
 /// The result of a gate.
@@ -91,6 +251,11 @@ pub struct GateResult {
     pub holds: bool,
     /// Deciding fact, in words.
     pub reason: String,
+    /// Requirements that the gate verifies.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub requirement: Vec<String>,
+    /// Gate as a safety performance indicator.
+    pub indicator: SafetyIndicator,
 }
 
 impl AssessmentGate {
@@ -99,13 +264,50 @@ impl AssessmentGate {
         self.rule(config).problem
     }
 
+    /// Returns the gate with the spaces' own names, which claims use, in place of those of the configuration.
+    fn with_space_names(&self, plan: &AssessmentPlan) -> Self {
+        let mut gate = self.clone();
+        if let Self::RateAtMost { space, .. } | Self::RateNotAbove { space, .. } = &mut gate
+            && space.is_none()
+        {
+            *space = plan.rate_spaces.first().map(|named| named.name.clone());
+        }
+        for GateName { role, name, .. } in gate.names_mut() {
+            if role == NameRole::Space
+                && let Some(named) = plan.find_named_space(name)
+            {
+                named.space.name().clone_into(name);
+            }
+        }
+        gate
+    }
+
+    /// Returns the first controller that the gate names, if it names one.
+    fn controller(&self) -> Option<String> {
+        let mut gate = self.clone();
+        let mut names = gate.names_mut().into_iter();
+        let named = names.find(|named| named.role == NameRole::Controller)?;
+        Some(named.name.clone())
+    }
+}
+
+impl GateConfig {
     pub(super) fn evaluate(&self, inputs: &GateInputs<'_>) -> GateResult {
-        let rule = self.rule(&inputs.plan.config);
+        let config = &inputs.plan.config;
+        let rule = self.gate.rule(config);
         let verdict = (rule.verdict)(inputs);
+        let named = self.gate.with_space_names(inputs.plan);
+        let named_rule = named.rule(config);
+        let controller = named.controller();
+        let claim = controller.and_then(|name| named_rule.find_claim(&name, inputs));
         GateResult {
-            gate: rule.condition,
+            gate: named_rule.condition,
             holds: verdict.holds,
             reason: verdict.reason,
+            requirement: self.requirement.clone(),
+            indicator: rule
+                .metric
+                .indicator(verdict.value, verdict.interval, claim),
         }
     }
 }
@@ -113,14 +315,34 @@ impl AssessmentGate {
 impl<'a> GateRule<'a> {
     fn new(
         condition: String,
+        metric: GateMetric,
         problem: Option<ConfigProblem>,
         verdict: impl Fn(&GateInputs<'_>) -> GateVerdict + 'a,
     ) -> Self {
         Self {
             condition,
+            metric,
             problem,
             verdict: Box::new(verdict),
+            is_about: Box::new(|_, _| false),
         }
+    }
+
+    /// Sets the claim of the report that the gate is about.
+    fn about(self, is_about: impl Fn(&ClaimRow, &AssuranceClaim) -> bool + 'a) -> Self {
+        Self {
+            is_about: Box::new(is_about),
+            ..self
+        }
+    }
+
+    /// Returns the claim about a controller that the gate is about, in words with its controller.
+    fn find_claim(&self, controller: &str, inputs: &GateInputs<'_>) -> Option<String> {
+        inputs.claims.iter().find_map(|row| {
+            let mut claims = row.claims.iter().flatten();
+            let claim = claims.find(|claim| claim.subject.controller.name == controller)?;
+            (self.is_about)(row, claim).then(|| format!("{controller}: {}", row.claim))
+        })
     }
 }
 
@@ -129,7 +351,20 @@ impl GateVerdict {
         Self {
             holds,
             reason: reason.into(),
+            value: None,
+            interval: None,
         }
+    }
+
+    fn with_value(self, value: f64) -> Self {
+        Self {
+            value: Some(value),
+            ..self
+        }
+    }
+
+    fn with_interval(self, interval: Option<IndicatorInterval>) -> Self {
+        Self { interval, ..self }
     }
 
     fn holds(reason: impl Into<String>) -> Self {
@@ -158,4 +393,12 @@ fn require(has: bool, setting: &str) -> Option<ConfigProblem> {
 fn share_problem(percent: f64) -> Option<ConfigProblem> {
     let is_share = (0.0..=100.0).contains(&percent);
     (!is_share).then(|| ("percent", format!("must be from 0 to 100, found {percent}")))
+}
+
+/// True for a claim about random scenarios of a space, or about the whole space.
+fn is_in_space(claim: &AssuranceClaim, name: &str) -> bool {
+    match &claim.domain {
+        Domain::Draws { space, .. } | Domain::Space { space } => space.name == *name,
+        _ => false,
+    }
 }

@@ -1,7 +1,10 @@
 //! Gates on failure rates.
 
-use super::{ConfigProblem, GateInputs, GateRule, GateVerdict, require, share_problem};
-use crate::assessment::claims::{AssuranceClaim, Domain, Property, Strength};
+use super::{
+    ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space,
+    require, share_problem,
+};
+use crate::assessment::claims::{AssuranceClaim, Domain, Property, RateBounds, Strength};
 use crate::assessment::{AssessConfig, ControllerSample, Rounded, SpaceSample};
 
 pub(super) fn at_most<'a>(
@@ -11,11 +14,16 @@ pub(super) fn at_most<'a>(
     space: &'a Option<String>,
 ) -> GateRule<'a> {
     let name = named_or_only(space, config);
+    let own_name = name.clone();
     GateRule::new(
         format!("{controller}: failure rate in `{name}` at most {percent} %"),
+        GateMetric::percent("upper bound of the failure rate", percent),
         share_problem(percent).or_else(|| space_problem(space, config)),
         move |inputs| check_rate_at_most(inputs, controller, percent, &name),
     )
+    .about(move |_, claim| {
+        matches!(claim.property, Property::RateAtMost { .. }) && is_in_space(claim, &own_name)
+    })
 }
 
 pub(super) fn not_above<'a>(
@@ -25,15 +33,21 @@ pub(super) fn not_above<'a>(
     space: &'a Option<String>,
 ) -> GateRule<'a> {
     let name = named_or_only(space, config);
+    let own_name = name.clone();
     GateRule::new(
         format!(
             "{controller}: no more failures than {than} in the same random scenarios of `{name}`"
         ),
+        GateMetric::none_of("failures, less those of the other controller in the same scenarios"),
         itself_problem(controller, than)
             .or_else(|| require(config.draws > 0, "`draws` above 0"))
             .or_else(|| space_problem(space, config)),
         move |inputs| check_rate_not_above(inputs, controller, than, &name),
     )
+    .about(move |_, claim| {
+        matches!(&claim.property, Property::FailsLessOften { than: other } if other.name == *than)
+            && is_in_space(claim, &own_name)
+    })
 }
 
 fn itself_problem(controller: &str, than: &str) -> Option<ConfigProblem> {
@@ -75,10 +89,24 @@ fn check_rate_at_most(
         return GateVerdict::fails("no random scenario was simulated");
     };
     let status = inputs.evidence.claim_status(&claim);
-    GateVerdict::new(
+    let verdict = GateVerdict::new(
         matches!(status.strength, Strength::Bounded { .. }),
         status.describe(),
-    )
+    );
+    match status.strength.rate_bounds() {
+        Some(bounds) => verdict
+            .with_value(bounds.upper_percent())
+            .with_interval(Some(interval(bounds))),
+        None => verdict,
+    }
+}
+
+fn interval(bounds: RateBounds) -> IndicatorInterval {
+    IndicatorInterval {
+        lower: Rounded::new(bounds.lower_percent()),
+        upper: Rounded::new(bounds.upper_percent()),
+        confidence_percent: Rounded::new(bounds.confidence_percent()),
+    }
 }
 
 fn rate_claim(
@@ -130,9 +158,37 @@ fn check_rate_not_above(
         return GateVerdict::fails("no random scenario was simulated");
     };
     match (sample.find(controller), sample.find(than)) {
-        (Some(own), Some(other)) => compare_samples(own, other, sample.random_scenarios),
+        (Some(own), Some(other)) => {
+            // A certificate counts runs without an answer as failures, those of the other controller too.
+            let is_answered = other.ends.unanswered.is_none();
+            let counted = is_answered.then(|| compare_counts(inputs, controller, than, space));
+            counted
+                .flatten()
+                .unwrap_or_else(|| compare_samples(own, other, sample.random_scenarios))
+        }
         _ => GateVerdict::fails("it has no run in this space"),
     }
+}
+
+/// Compares by the counted runs of a certificate, which are more than the random scenarios of the report; `None`
+/// without such a count.
+fn compare_counts(
+    inputs: &GateInputs<'_>,
+    controller: &str,
+    than: &str,
+    space: &str,
+) -> Option<GateVerdict> {
+    let named = inputs.plan.rate_spaces.get(inputs.space_index(space)?)?;
+    let counted = inputs
+        .results
+        .proofs
+        .counted_pairs(controller, than, &named.content_id)?;
+    let [own, other] = counted.only_one_failed;
+    let reason = format!(
+        "of the same {} counted runs, only it fails in {own}, only the other in {other}",
+        counted.runs
+    );
+    Some(GateVerdict::new(own <= other, reason).with_value(own as f64 - other as f64))
 }
 
 /// Counts a run that ended early against the controller.
@@ -163,6 +219,8 @@ fn compare_samples(
         );
     }
     let is_known = own.ended_by_others < scenarios && other.unanswered_runs() < scenarios;
-    let is_not_above = own.failures() + own.ended_by_others <= other.collisions;
+    let against = own.failures() + own.ended_by_others;
+    let is_not_above = against <= other.collisions;
     GateVerdict::new(is_known && is_not_above, reason)
+        .with_value(against as f64 - other.collisions as f64)
 }

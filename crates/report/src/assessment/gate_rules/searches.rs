@@ -1,6 +1,7 @@
 //! Gates on searches for failures.
 
-use super::{ConfigProblem, GateInputs, GateRule, GateVerdict};
+use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict};
+use crate::assessment::claims::Domain;
 use crate::assessment::{AssessConfig, FailureSearch};
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
@@ -11,9 +12,13 @@ pub(super) fn no_avoidable_failure<'a>(
 ) -> GateRule<'a> {
     GateRule::new(
         format!("{controller}: the search of `{space}` finds no avoidable failure"),
+        GateMetric::none_of("distinct failures that are avoidable or undecided"),
         searched_space_problem(space, config),
         |inputs| check_no_avoidable_failure(inputs, controller, space),
     )
+    .about(|_, claim| {
+        matches!(&claim.domain, Domain::Search { space: searched, .. } if searched.name == *space)
+    })
 }
 
 fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
@@ -41,7 +46,7 @@ fn check_search(search: &FailureSearch) -> GateVerdict {
     let not_asked = search.count(AvoidabilityClass::NotAsked);
     let avoidable = search.count(AvoidabilityClass::Avoidable);
     let undecided = search.count(AvoidabilityClass::Undecided);
-    match avoidable + undecided {
+    let verdict = match avoidable + undecided {
         0 if not_asked > 0 => GateVerdict::fails(format!(
             "the avoidability of {not_asked} failures was not examined"
         )),
@@ -49,5 +54,6 @@ fn check_search(search: &FailureSearch) -> GateVerdict {
         _ => GateVerdict::fails(format!(
             "{avoidable} avoidable and {undecided} undecided failures"
         )),
-    }
+    };
+    verdict.with_value((avoidable + undecided) as f64)
 }

@@ -1,6 +1,7 @@
 //! Gates on suites of tests.
 
-use super::{ConfigProblem, GateInputs, GateRule, GateVerdict};
+use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict};
+use crate::assessment::claims::{Domain, Property};
 use crate::assessment::{AssessConfig, SuiteOutcome, SuiteTest};
 use crumple_sim::engine::FailedControllerRuns;
 
@@ -11,9 +12,14 @@ pub(super) fn passed<'a>(
 ) -> GateRule<'a> {
     GateRule::new(
         format!("{controller}: passes every test of suite `{suite}` that can be run"),
+        GateMetric::none_of("tests that do not pass"),
         suite_problem(config, controller, suite),
         |inputs| check_suite_passed(inputs, controller, suite),
     )
+    .about(|_, claim| {
+        claim.property == Property::PassesTests
+            && matches!(&claim.domain, Domain::Suite { suite: tested } if tested.name == *suite)
+    })
 }
 
 fn suite_problem(config: &AssessConfig, controller: &str, suite: &str) -> Option<ConfigProblem> {
@@ -42,9 +48,10 @@ fn check_suite_passed(inputs: &GateInputs<'_>, controller: &str, suite: &str) ->
     let missed: Vec<_> = run
         .iter()
         .filter(|(_, outcome)| outcome.passed != Some(true))
-        .map(|(test, _)| test.test.as_str())
+        .map(|(test, _)| test.name.as_str())
         .collect();
-    match (run.len(), missed.as_slice()) {
+    let count = missed.len() as f64;
+    let verdict = match (run.len(), missed.as_slice()) {
         (0, _) => GateVerdict::fails("no test could be run"),
         (all, []) => GateVerdict::holds(format!("{all} of {all} tests pass")),
         (_, missed) => GateVerdict::fails(format!(
@@ -52,6 +59,11 @@ fn check_suite_passed(inputs: &GateInputs<'_>, controller: &str, suite: &str) ->
             missed.join(", "),
             note_unanswered_runs(&run)
         )),
+    };
+    if run.is_empty() {
+        verdict
+    } else {
+        verdict.with_value(count)
     }
 }
 

@@ -1,16 +1,21 @@
 //! The first page: the question, the answer, and the main reasons.
 
+use maud::html;
 use serde::Serialize;
 
 use super::certificates::describe_estimator;
 use super::summary::SubjectClaim;
-use super::{AssessmentLimits, ClaimSummary, FailureSearches, ScenarioCases, UsefulnessReport};
-use crate::assessment::AssessmentPlan;
-use crate::assessment::claims::{InferenceRule, Property, Strength};
+use super::{
+    AssessmentLimits, ClaimSummary, FailureSearches, RecordedDrives, ScenarioCases,
+    UsefulnessReport,
+};
+use crate::assessment::claims::{AssuranceClaim, Domain, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
+use crate::assessment::followers::describe_followers;
 use crate::assessment::report_block::{ListStyle, ParagraphStyle, ReportBlock, TitledList};
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::rich_text::RichText;
+use crate::assessment::{AssessmentPlan, ReportIdentity};
 use crumple_core::quoting::TerminalText;
 
 /// The answer to the question of whether the subject collides.
@@ -53,15 +58,14 @@ impl FirstPage {
         summary: &ClaimSummary,
         limits: &AssessmentLimits,
     ) -> Self {
-        let subject = plan.subject_name();
         let claims = strongest_first(summary.claims_about(plan.subject_index));
         let against: Vec<String> = claims
             .iter()
             .filter(|subject_claim| speaks_against(subject_claim))
-            .map(describe_refutation)
+            .map(|subject_claim| describe_refutation(plan, subject_claim))
             .collect();
         let answer = SafetyAnswer::new(plan, &claims);
-        let answer_text = answer.describe(subject, &relevant_claims(plan, &claims), &against);
+        let answer_text = answer.describe(plan, &relevant_claims(plan, &claims), &against);
         let comparison = describe_comparison(plan, &claims);
         Self {
             question: ask_question(plan),
@@ -71,7 +75,7 @@ impl FirstPage {
             speaks_for: claims
                 .iter()
                 .filter(|subject_claim| speaks_for(subject_claim))
-                .map(describe_support)
+                .map(|subject_claim| describe_support(plan, subject_claim))
                 .collect(),
             assumed: limits
                 .assumptions
@@ -121,12 +125,33 @@ fn speaks_for(subject_claim: &SubjectClaim<'_>) -> bool {
         )
 }
 
-fn describe_support(subject_claim: &SubjectClaim<'_>) -> String {
+fn describe_support(plan: &AssessmentPlan, subject_claim: &SubjectClaim<'_>) -> String {
     format!(
-        "{}: {}",
+        "{}{}: {}",
         subject_claim.row.claim,
+        note_followers(plan, subject_claim.claim),
         subject_claim.status.strength.describe()
     )
+}
+
+/// Names the drivers of the followers in brackets after a claim about collisions or failures in a space; otherwise
+/// empty.
+fn note_followers(plan: &AssessmentPlan, claim: &AssuranceClaim) -> String {
+    let is_about_collisions = matches!(
+        claim.property,
+        Property::NoCollision | Property::RateAtMost { .. } | Property::FailsLessOften { .. }
+    );
+    let space = match &claim.domain {
+        Domain::Draws { space, .. } | Domain::Space { space } | Domain::Search { space, .. } => {
+            Some(space).filter(|_| is_about_collisions)
+        }
+        _ => None,
+    };
+    space
+        .and_then(|space| plan.followers_in(space))
+        .map_or_else(String::new, |drivers| {
+            format!(" ({})", describe_followers(&drivers))
+        })
 }
 
 fn ask_question(plan: &AssessmentPlan) -> String {
@@ -169,9 +194,13 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> St
 }
 
 /// Describes a claim that does not hold: the violation first, then its frequency.
-fn describe_refutation(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String {
-    let domain = claim.describe_domain();
-    let strength = status.strength.describe();
+fn describe_refutation(
+    plan: &AssessmentPlan,
+    SubjectClaim { row, claim, status }: &SubjectClaim<'_>,
+) -> String {
+    let followers = note_followers(plan, claim);
+    let domain = format!("{}{followers}", claim.describe_domain());
+    let strength = status.strength.describe_facts();
     match status.strength {
         // No violation occurred; the controller only failed to answer.
         Strength::Unanswered {
@@ -199,7 +228,7 @@ fn relevant_claims<'c, 'a>(
         .filter(|subject_claim| {
             matches!(
                 subject_claim.claim.property,
-                Property::NoContact | Property::RateAtMost { .. }
+                Property::NoCollision | Property::RateAtMost { .. }
             ) && subject_claim.claim.subject.estimator == plan.config.estimator
         })
         .collect()
@@ -239,14 +268,20 @@ impl SafetyAnswer {
 
     /// Describes the answer with its domain and strength, so that it can be quoted alone. `relevant` are the claims
     /// that decide it.
-    fn describe(self, subject: &str, relevant: &[&SubjectClaim<'_>], against: &[String]) -> String {
+    fn describe(
+        self,
+        plan: &AssessmentPlan,
+        relevant: &[&SubjectClaim<'_>],
+        against: &[String],
+    ) -> String {
+        let subject = plan.subject_name();
         let objection = against.first().map_or(String::new(), |first| {
             format!(" Evidence against it: {first}.")
         });
         match self {
             Self::NotSafe => format!(
                 "Not safe. Main evidence against `{subject}`: {}.",
-                main_refutation(relevant)
+                main_refutation(plan, relevant)
             ),
             Self::Undecided => format!(
                 "Undecided: no result of this report bounds the failure rate of `{subject}`.{objection}"
@@ -254,7 +289,7 @@ impl SafetyAnswer {
             Self::SafeInDomain => format!(
                 "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
                  known about other situations.{objection}",
-                list_assurances(relevant)
+                list_assurances(plan, relevant)
             ),
         }
     }
@@ -268,24 +303,25 @@ impl SafetyAnswer {
     }
 }
 
-fn main_refutation(relevant: &[&SubjectClaim<'_>]) -> String {
+fn main_refutation(plan: &AssessmentPlan, relevant: &[&SubjectClaim<'_>]) -> String {
     let main = relevant.iter().copied().find(|subject_claim| {
         is_refuted(subject_claim) && subject_claim.status.rule != Some(InferenceRule::RefutedInPart)
     });
     main.map_or_else(
         || "a failed run in a part of a domain".to_owned(),
-        describe_refutation,
+        |subject_claim| describe_refutation(plan, subject_claim),
     )
 }
 
-fn list_assurances(relevant: &[&SubjectClaim<'_>]) -> String {
+fn list_assurances(plan: &AssessmentPlan, relevant: &[&SubjectClaim<'_>]) -> String {
     let assured = relevant
         .iter()
         .filter(|subject_claim| subject_claim.status.strength.is_assurance())
         .map(|subject_claim| {
             format!(
-                "{} ({})",
+                "{}{} ({})",
                 subject_claim.row.claim,
+                note_followers(plan, subject_claim.claim),
                 subject_claim.status.strength.describe()
             )
         });
@@ -319,20 +355,26 @@ fn plain_text_list(heading: &str, lines: &[String]) -> String {
     }
 }
 
-const COMPARISON_NOTE: &str = "A cell counts the runs that fail or the distinct failures of a search, or bounds a rate \
-    with a confidence level. All controllers run the same scenarios.";
+const COMPARISON_NOTE: &str = "Proved: a checked certificate. Bounded: a rate with its confidence level. Tested: no \
+    failure in these runs; others may fail. Refuted: runs that fail, or the distinct failures of a search. All \
+    controllers run the same scenarios.";
 
 const BOTH_SIDES_NOTE: &str = "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further \
     left is better.";
+
+const NO_RECORDED_DRIVES: &str = "No recorded drives were assessed (`--drives`): the counts hold in the stated spaces \
+    only.";
 
 const GATES_NOTE: &str = "The configuration sets the gates, and they alone decide the exit code.";
 
 /// The section of the first page, with the results that it shows.
 pub(in crate::assessment) struct FirstPageSection<'a> {
+    pub(in crate::assessment) identity: &'a ReportIdentity,
     pub(in crate::assessment) page: &'a FirstPage,
     pub(in crate::assessment) summary: &'a ClaimSummary,
     pub(in crate::assessment) searches: &'a FailureSearches,
     pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
+    pub(in crate::assessment) recorded_drives: Option<&'a RecordedDrives>,
 }
 
 impl ReportPart for FirstPageSection<'_> {
@@ -345,6 +387,12 @@ impl ReportPart for FirstPageSection<'_> {
     }
 
     fn write(&self, out: &mut ReportDocument) {
+        let identity = self.identity.rows().into_iter();
+        out.push(ReportBlock::Definitions(
+            identity
+                .map(|(name, value)| (name.to_owned(), value))
+                .collect(),
+        ));
         self.write_answer(out);
         self.write_gates(out);
         out.push(ReportBlock::Columns(self.page.evidence_lists()));
@@ -370,6 +418,13 @@ impl FirstPageSection<'_> {
             out.table(usefulness.both_sides_table());
             out.paragraph(usefulness.both_sides_note());
         }
+        match self.recorded_drives {
+            Some(drives) => {
+                out.paragraph(drives.first_page_note());
+                out.table(drives.first_page_table());
+            }
+            None => out.paragraph(NO_RECORDED_DRIVES),
+        }
         out.paragraph(RichText::strong("Question: ").and_prose(&self.page.question));
     }
 
@@ -378,11 +433,8 @@ impl FirstPageSection<'_> {
             return;
         }
         let verdict = self.summary.describe_gates();
-        out.markdown_only(paragraph(format!("{verdict} {GATES_NOTE}")));
-        let mut head = ReportDocument::new();
-        head.heading("Gates");
-        head.paragraph(RichText::strong(verdict).and_prose(format!(" {GATES_NOTE}")));
-        out.html_only(head);
+        out.heading("Gates");
+        out.paragraph(RichText::strong(verdict).and_prose(format!(" {GATES_NOTE}")));
         out.table(self.summary.gate_table());
     }
 
@@ -390,11 +442,9 @@ impl FirstPageSection<'_> {
         let Some(usefulness) = self.usefulness else {
             return;
         };
-        let mut figure = ReportDocument::new();
-        figure.heading("Safety and usefulness of each controller");
-        figure.paragraph(BOTH_SIDES_NOTE);
-        figure.figure(usefulness.figure("both-sides"));
-        out.html_only(figure);
+        let figure = html! { (usefulness.figure("both-sides")) };
+        let figure = ReportBlock::Figure(figure, Some(BOTH_SIDES_NOTE.into()));
+        out.titled("Safety and usefulness of each controller", figure);
     }
 
     fn write_worst_failures(&self, out: &mut ReportDocument) {
@@ -404,22 +454,13 @@ impl FirstPageSection<'_> {
             return;
         }
         let figures = worst.iter().flat_map(ScenarioCases::captioned_drawings);
-        let mut failures = ReportDocument::new();
-        failures.heading("Severest failures");
-        failures.push(ReportBlock::Gallery(figures.collect()));
-        out.html_only(failures);
+        let figures = ReportBlock::Gallery(figures.collect());
+        out.titled("Severest failures", figures);
     }
 
     fn write_assumptions(&self, out: &mut ReportDocument) {
         let lines = self.page.assumed.iter().map(|&line| line.into()).collect();
-        let mut assumptions = ReportDocument::new();
-        assumptions.heading("Assumptions");
-        assumptions.push(ReportBlock::List(lines, ListStyle::Short));
-        out.html_only(assumptions);
-        out.markdown_only(paragraph("The assumptions are in the section \"Limits\"."));
+        out.heading("Assumptions");
+        out.push(ReportBlock::List(lines, ListStyle::Short));
     }
-}
-
-fn paragraph(text: impl Into<RichText>) -> ReportBlock {
-    ReportBlock::Paragraph(text.into(), ParagraphStyle::Plain)
 }

@@ -8,9 +8,9 @@ use std::fmt::Write;
 use super::certificates::describe_estimator;
 use super::summary::SubjectClaim;
 use super::{AssessmentLimits, ClaimSummary};
-use crate::assessment::AssessmentPlan;
 use crate::assessment::claims::{Property, Strength};
 use crate::assessment::table::CellMark;
+use crate::assessment::{AssessmentPlan, ReportIdentity};
 use crumple_core::quoting::TerminalText;
 
 /// Prefixes of identifiers, which state the kind of an element.
@@ -91,9 +91,9 @@ impl ArgumentBuilder {
             _ if matches!(strength, Strength::PartlyProved { .. }) => {
                 self.add_solution(&goal, subject_claim)
             }
-            CellMark::Good => self.add_solution(&goal, subject_claim),
+            CellMark::Good | CellMark::Tested => self.add_solution(&goal, subject_claim),
             CellMark::Bad => {
-                let counter = self.add(GOAL, format!("Refuted: {}", strength.describe()));
+                let counter = self.add(GOAL, format!("Refuted: {}", strength.describe_facts()));
                 self.add_solution(&counter, subject_claim);
                 self.update(&counter, |element| element.challenges = Some(goal.clone()));
                 self.update(&goal, |element| element.defeated = true);
@@ -156,7 +156,7 @@ const GOALS: [Goal; 6] = [
     Goal {
         statement: "has no collision in any run of this report",
         strategy: "over the domains of the report",
-        is_about: |property| matches!(property, Property::NoContact | Property::NoContactAhead),
+        is_about: |property| matches!(property, Property::NoCollision | Property::NoCollisionAhead),
     },
     Goal {
         statement: "passes the tests that are modelled on regulations",
@@ -217,10 +217,11 @@ impl ArgumentBuilder {
         claims: &[SubjectClaim<'_>],
         limits: &AssessmentLimits,
     ) -> Vec<String> {
-        let mut contexts = vec![self.add(
+        let mut contexts = vec![self.add(CONTEXT, "")];
+        contexts.push(self.add(
             CONTEXT,
             "simulated vehicles in one lane of a straight road; each goal names its domain",
-        )];
+        ));
         for domain in distinct_domains(claims) {
             contexts.push(self.add(CONTEXT, domain));
         }
@@ -295,6 +296,20 @@ impl Argument {
         Self {
             elements: argument.elements,
         }
+    }
+
+    /// States the identity of the report in the first context of the top goal.
+    #[must_use]
+    pub(in crate::assessment) fn with_identity(mut self, identity: &ReportIdentity) -> Self {
+        let rows = identity.rows().into_iter();
+        let rows: Vec<String> = rows
+            .map(|(name, value)| format!("{name}: {value}"))
+            .collect();
+        let mut elements = self.elements.iter_mut();
+        if let Some(context) = elements.find(|element| element.prefix() == CONTEXT) {
+            context.text = rows.join("; ");
+        }
+        self
     }
 
     /// Returns the argument as YAML for GSN tools: one entry per element, under its identifier.

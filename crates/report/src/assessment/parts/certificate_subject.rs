@@ -25,6 +25,7 @@ pub(super) fn describe_statement(
             format!("{}: {ranges}", states.name)
         }
         ClaimSubject::AnyVehicles => "vehicles of these classes, dry road".to_owned(),
+        ClaimSubject::AnyNeighbours => "a vehicle between leader and follower".to_owned(),
         ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => {
             certificate.provenance.scenario.clone()
         }
@@ -104,7 +105,7 @@ pub(super) fn certificate_subject(
         ClaimSubject::InitialStates(reach) => match find_proved_controller(plan, reach) {
             Some(subject) => CertificateSubject::Claim(Box::new(AssuranceClaim {
                 subject,
-                property: Property::NoContact,
+                property: Property::NoCollision,
                 domain: Domain::Box {
                     around: initial_states_id(plan, name, (certificate, reach), policy),
                 },
@@ -114,7 +115,9 @@ pub(super) fn certificate_subject(
             },
         },
         ClaimSubject::AnyVehicles => CertificateSubject::Kernel,
-        ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => CertificateSubject::NoController,
+        ClaimSubject::AnyNeighbours | ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => {
+            CertificateSubject::NoController
+        }
     }
 }
 

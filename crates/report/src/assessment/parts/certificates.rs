@@ -2,7 +2,8 @@
 
 use crumple_controllers::Controllers;
 use crumple_verify::{
-    Assumption, Certificate, ProvedClaim, RateClaim, Registration, Statement, WorkLimit,
+    Assumption, Certificate, ComparisonClaim, ProvedClaim, RateClaim, Registration, Statement,
+    WorkLimit,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -10,15 +11,14 @@ use serde::{Deserialize, Serialize};
 use super::certificate_subject::{certificate_subject, describe_statement, includes_others};
 use super::rate_certificates::{planned_rate_counts, recount_controllers};
 use crate::assessment::claims::{
-    AssuranceClaim, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property, Strength,
-    Subject,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property,
+    Strength, Subject,
 };
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
-use crumple_core::digest::sha256;
 use crumple_evidence::{CertificateReport, RateInterval, kernel_certificate, shipped_kernels};
-use crumple_sim::control::{MIN_MARGIN_M, ShieldSettings, ViabilityKernel};
+use crumple_sim::control::{MIN_MARGIN_M, ShieldKind, ShieldSettings, ViabilityKernel};
 use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{PAPER_STEP_S, VehicleClass};
@@ -35,7 +35,7 @@ pub struct CheckedCertificate {
     pub about: String,
     /// Path relative to the report folder; absent if the checker did not accept the certificate, which is not written.
     pub file: Option<String>,
-    /// SHA-256 of the certificate.
+    /// SHA-256 of the certificate, as `crumple check` prints it.
     pub sha256: String,
     /// Claim of this report that the certificate supports.
     pub subject: CertificateSubject,
@@ -52,9 +52,20 @@ pub struct CheckedCertificate {
     /// Statement, if it is about a kernel.
     #[serde(skip)]
     kernel: Option<Statement>,
+    /// Statement, if it compares two controllers.
+    #[serde(skip)]
+    comparison: Option<ComparisonClaim>,
     /// Statement, if it is about a rate and counts only failures of the controller.
     #[serde(skip)]
     rate: Option<RateClaim>,
+}
+
+/// Counted runs that two controllers made in the same scenarios.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::assessment) struct CountedPairs {
+    /// Runs in which only the first, and only the second, failed.
+    pub(in crate::assessment) only_one_failed: [u64; 2],
+    pub(in crate::assessment) runs: u64,
 }
 
 /// The result of checking a certificate.
@@ -250,6 +261,28 @@ impl CheckedCertificate {
             .collect()
     }
 
+    /// Returns the counted runs that two controllers of the report made in a space, if the certificate compares them.
+    pub(super) fn counted_pairs(
+        &self,
+        controller: &str,
+        than: &str,
+        space: &ContentId,
+    ) -> Option<CountedPairs> {
+        let comparison = self.comparison.as_ref()?;
+        let CertificateSubject::Claim(claim) = &self.subject else {
+            return None;
+        };
+        let is_same_pair = claim.subject.controller.name == controller
+            && matches!(&claim.property, Property::FailsLessOften { than: other } if other.name == than);
+        let is_in_space =
+            matches!(&claim.domain, Domain::Space { space: counted } if counted == space);
+        let is_rejected = matches!(self.status, CertificateStatus::Rejected { .. });
+        (is_same_pair && is_in_space && !is_rejected).then_some(CountedPairs {
+            only_one_failed: [comparison.only_first_failed, comparison.only_second_failed],
+            runs: comparison.registration.runs,
+        })
+    }
+
     /// Returns the counted runs as evidence about random scenarios, where a failure refutes the claim.
     fn counted_runs_evidence(&self, claim: &AssuranceClaim) -> Option<Evidence> {
         let Domain::Space { space } = &claim.domain else {
@@ -264,7 +297,7 @@ impl CheckedCertificate {
         };
         let claim = AssuranceClaim {
             subject: claim.subject.clone(),
-            property: Property::NoContact,
+            property: Property::NoCollision,
             domain,
         };
         Some(Evidence {
@@ -341,7 +374,7 @@ pub(super) fn check_certificate(
         statement: certificate.statement.name(),
         about: describe_statement(plan, &name, certificate, policy),
         file: is_accepted.then(|| format!("certificates/{name}.json")),
-        sha256: sha256(&text),
+        sha256: certificate.digest(),
         subject: certificate_subject(plan, &name, certificate, policy),
         recount_controllers: is_accepted
             .then(|| recount_controllers(plan, certificate))
@@ -350,6 +383,10 @@ pub(super) fn check_certificate(
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
             Statement::Rate(rate) if !counts_others => Some(rate.clone()),
+            _ => None,
+        },
+        comparison: match &certificate.statement {
+            Statement::Comparison(comparison) => Some(comparison.clone()),
             _ => None,
         },
         kernel: matches!(certificate.statement, Statement::Kernel(_))
@@ -378,7 +415,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
         {
             let claim = AssuranceClaim {
                 subject,
-                property: Property::NoContactAhead,
+                property: Property::NoCollisionAhead,
                 domain: kernel_domain(&kernels),
             };
             let mut source = first.source();
@@ -411,10 +448,13 @@ pub(super) fn shield_kernels(controller: &NamedController) -> Vec<ViabilityKerne
     let Some(shielded) = controller.source.as_shield() else {
         return Vec::new();
     };
-    let ShieldSettings {
+    let ShieldKind::Ahead(ShieldSettings {
         ahead_brake_mps2,
         errors,
-    } = shielded.settings;
+    }) = shielded.settings
+    else {
+        return Vec::new();
+    };
     if errors.is_some() {
         return Vec::new();
     }

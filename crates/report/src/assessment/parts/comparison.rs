@@ -16,6 +16,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crumple_core::digest::sha256;
+use crumple_core::quoting::TerminalText;
 use crumple_core::text_file::{self, FileError};
 
 /// The changes since an earlier assessment.
@@ -52,6 +53,8 @@ pub struct AssessmentChange {
     pub now: Option<String>,
     /// True for a failure that a search found, or a refuted claim.
     pub is_failure: bool,
+    /// True if the controller collides now, and did not before.
+    pub is_new_collision: bool,
 }
 
 /// The compared content of an earlier assessment.
@@ -118,6 +121,8 @@ fn use_current_names(value: &mut Value) {
             fields.values_mut().for_each(use_current_names);
         }
         Value::Array(items) => items.iter_mut().for_each(use_current_names),
+        // Claims of 0.3.0 about the same rate.
+        Value::String(text) => *text = text.replace("collision rate", "failure rate"),
         _ => {}
     }
 }
@@ -169,9 +174,51 @@ impl AssessmentChange {
             before: before.map(|fact| fact.description.clone()),
             now: now.map(|fact| fact.description.clone()),
             is_failure: now.or(before).is_some_and(|fact| fact.is_failure),
+            is_new_collision: before.and_then(|fact| fact.collides) == Some(false)
+                && now.and_then(|fact| fact.collides) == Some(true),
         }
     }
+
+    /// Returns the cells of the change: its label, which is good or bad or neither, the result, and both states.
+    fn table_row(&self, label: &str, verdict: Option<bool>) -> Vec<ReportCell> {
+        let label = if self.is_new_collision {
+            NEW_COLLISION
+        } else {
+            label
+        };
+        let label = verdict.map_or_else(
+            || ReportCell::text(label),
+            |good| ReportCell::with_verdict(label, good),
+        );
+        let [before, now] = [&self.before, &self.now]
+            .map(|state| ReportCell::text(state.as_deref().unwrap_or("–")));
+        vec![label, ReportCell::text(&self.description), before, now]
+    }
+
+    /// Returns the change as a line for a terminal.
+    fn to_plain_text(&self) -> String {
+        let label = if self.is_new_collision {
+            NEW_COLLISION
+        } else {
+            WORSE
+        };
+        let [before, now] = [&self.before, &self.now].map(|state| state.as_deref().unwrap_or("–"));
+        let text = format!("{}: {before} -> {now}", self.description);
+        format!("  {label}  {}\n", TerminalText(&text))
+    }
 }
+
+/// Label of a result that is worse.
+const WORSE: &str = "worse";
+
+/// Label of a collision where there was none before.
+const NEW_COLLISION: &str = "NEW COLLISION";
+
+/// Label of a failure that is not in the earlier assessment.
+const NEW_FAILURE: &str = "new failure";
+
+/// Maximum number of worse results on a terminal.
+const MAX_WORSE_LINES: usize = 20;
 
 fn changes_of_kind(
     changes: &[(ChangeKind, AssessmentChange)],
@@ -208,11 +255,13 @@ impl AssessmentComparison {
             .iter()
             .filter(|(key, _)| !facts.contains_key(*key))
             .map(|((what, _), fact)| AssessmentChange::new(what, Some(fact), None));
+        let mut worse = changes_of_kind(&present, ChangeKind::Worse);
+        worse.sort_by_key(|change| !change.is_new_collision);
         Self {
             earlier_sha256: earlier.sha256.clone(),
             same_configuration,
             better: changes_of_kind(&present, ChangeKind::Better),
-            worse: changes_of_kind(&present, ChangeKind::Worse),
+            worse,
             changed: changes_of_kind(&present, ChangeKind::Changed),
             new: changes_of_kind(&present, ChangeKind::New),
             gone: gone.collect(),
@@ -240,6 +289,19 @@ impl AssessmentComparison {
         )
     }
 
+    /// Returns the comparison as text for a terminal: a sentence, and the results that are worse.
+    #[must_use]
+    pub fn to_plain_text(&self) -> String {
+        let shown = self.worse.iter().take(MAX_WORSE_LINES);
+        let lines: String = shown.map(AssessmentChange::to_plain_text).collect();
+        let rest = self.worse.len().saturating_sub(MAX_WORSE_LINES);
+        let rest = match rest {
+            0 => String::new(),
+            rest => format!("  and {rest} more that are worse\n"),
+        };
+        format!("{}\n{lines}{rest}", self.describe())
+    }
+
     /// Returns the number of results of which neither is better, as an addition to a sentence; empty if there are none.
     pub(in crate::assessment) fn describe_changed(&self) -> String {
         match self.changed.len() {
@@ -250,22 +312,19 @@ impl AssessmentComparison {
 
     fn table(&self) -> ReportTable {
         let mut table = ReportTable::new(&["change", "result", "before", "now"]);
-        for (kind, changes, verdict) in [
-            ("worse", &self.worse, Some(false)),
-            ("better", &self.better, Some(true)),
-            ("changed", &self.changed, None),
-            ("new", &self.new, None),
-            ("gone", &self.gone, None),
-        ] {
+        let (failures, others): (Vec<_>, Vec<_>) =
+            self.new.iter().partition(|change| change.is_failure);
+        let groups: [(&str, Vec<&AssessmentChange>, Option<bool>); 6] = [
+            (WORSE, self.worse.iter().collect(), Some(false)),
+            (NEW_FAILURE, failures, Some(false)),
+            ("better", self.better.iter().collect(), Some(true)),
+            ("changed", self.changed.iter().collect(), None),
+            ("new", others, None),
+            ("gone", self.gone.iter().collect(), None),
+        ];
+        for (label, changes, verdict) in groups {
             for change in changes {
-                let kind = verdict.map_or_else(
-                    || ReportCell::text(kind),
-                    |good| ReportCell::with_verdict(kind, good),
-                );
-                let result = ReportCell::text(&change.description);
-                let [before, now] = [&change.before, &change.now]
-                    .map(|state| ReportCell::text(state.as_deref().unwrap_or("–")));
-                table.push_row(vec![kind, result, before, now]);
+                table.push_row(change.table_row(label, verdict));
             }
         }
         table

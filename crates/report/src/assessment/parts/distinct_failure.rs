@@ -132,7 +132,7 @@ pub struct DistinctFailure {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// Time of the first collision, in seconds.
-    pub contact_time_s: Option<Rounded<2>>,
+    pub collision_time_s: Option<Rounded<2>>,
     /// Relative speed of the vehicles, in m/s.
     pub impact_speed_mps: Option<Rounded<1>>,
     /// Largest change of speed of any vehicle in the whole pile-up, in m/s.
@@ -188,7 +188,7 @@ impl DistinctFailure {
             file,
             kind: counterexample.kind.clone(),
             reason: counterexample.reason.clone(),
-            contact_time_s: counterexample.contact_time_s.map(Rounded::new),
+            collision_time_s: counterexample.collision_time_s.map(Rounded::new),
             impact_speed_mps: counterexample.impact_speed_mps.map(Rounded::new),
             max_delta_v_mps: counterexample.max_delta_v_mps.map(Rounded::new),
             vehicles: counterexample.vehicles_involved,
@@ -232,12 +232,6 @@ impl DistinctFailure {
             .next()
             .unwrap_or(&self.file)
             .trim_end_matches(".toml")
-    }
-
-    /// Returns the name with its folder, which is named after the controller.
-    pub(super) fn name_with_folder(&self) -> String {
-        let folder = self.file.rsplit('/').nth(1).unwrap_or_default();
-        format!("{folder}/{}", self.short_name())
     }
 
     /// Describes the failure. Numbers stand for vehicles, and braking is that of the ego vehicle.

@@ -2,10 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::sampling::{RunSummary, simulate_each};
+use super::sampling::simulate_each;
 use super::share::PercentInterval;
-use super::{ControllerUsefulness, OscillationGain};
+use super::{ControllerUsefulness, OscillationGain, SpaceBraking};
 use crate::assessment::case::CaseVerdict;
+use crate::assessment::config::EVERYDAY_SPACES;
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::{AssessError, Rounded};
 use crumple_evidence::exposure::IntervalEstimate;
@@ -115,7 +116,10 @@ impl EverydayDrive {
         let usefulness = simulated.trace.as_ref().zip(ego).and_then(|(trace, ego)| {
             UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)
         });
-        let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
+        let end_s = simulated
+            .outcome
+            .collision()
+            .map(|collision| collision.time_s);
         let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
         Self {
             verdict: CaseVerdict::new(simulated, scenario),
@@ -129,7 +133,7 @@ impl ControllerUsefulness {
     pub(super) fn new(
         controller: &NamedController,
         drives: &[EverydayDrive],
-        danger: &[RunSummary],
+        danger: &[EverydayDrive],
         unnecessary_braking_rates: Vec<BrakingRate>,
         oscillation_gain: OscillationGain,
     ) -> Self {
@@ -171,6 +175,23 @@ impl ControllerUsefulness {
             rms_jerk_mps3: measures.mean(|drive| drive.rms_jerk_mps3),
             induced_brake_mps2: measures.mean(|drive| drive.induced?.peak_brake_mps2),
             oscillation_gain,
+            braking_by_space: [drives, danger]
+                .into_iter()
+                .zip(EVERYDAY_SPACES)
+                .map(|(drives, space)| SpaceBraking::new(space, drives))
+                .collect(),
+        }
+    }
+}
+
+impl SpaceBraking {
+    pub(super) fn new(space: &str, drives: &[EverydayDrive]) -> Self {
+        let measures = AnsweredDrives::new(drives);
+        Self {
+            space: space.to_owned(),
+            random_scenarios: drives.len() as u64,
+            unnecessary: measures.count(|drive| !drive.unnecessary.is_empty()),
+            hard: measures.count(|drive| !drive.hard.is_empty()),
         }
     }
 }

@@ -24,8 +24,6 @@ use crumple_sim::scenario::Scenario;
 
 /// Maximum number of shown failures of one search; a campaign of a few hundred runs finds fewer.
 const MAX_SHOWN: usize = 100;
-/// Maximum number of failures that Markdown lists for a controller that is not a main one.
-const MAX_LISTED: usize = 3;
 
 /// The search of one controller in one scenario space.
 #[derive(Debug, Clone, Serialize)]
@@ -43,9 +41,6 @@ pub struct FailureSearch {
     pub failures: Vec<DistinctFailure>,
     /// Number of distinct collisions of other vehicles, which are no failures of the controller.
     pub collisions_of_others: usize,
-    /// True for the first controller, the subject and the learned ones.
-    #[serde(skip)]
-    is_main: bool,
     #[serde(skip)]
     pub(super) drawn_cases: Vec<ScenarioCases>,
 }
@@ -202,7 +197,6 @@ impl FailureSearch {
             distinct: count_classes(&own),
             failures,
             collisions_of_others: summary.counterexamples.len() - own.len(),
-            is_main: search.is_main(),
             drawn_cases,
         })
     }
@@ -294,7 +288,7 @@ impl FailureSearch {
                     ReportCell::optional(failure.impact_speed_mps)
                 }),
                 ("time (s)", &|failure| {
-                    ReportCell::optional(failure.contact_time_s)
+                    ReportCell::optional(failure.collision_time_s)
                 }),
                 ("gap of the escape (m)", &|failure| {
                     ReportCell::text(failure.describe_escape())
@@ -354,16 +348,6 @@ impl FailureSearch {
                 self.collisions_of_others
             )
         })
-    }
-
-    /// Returns the failures that Markdown lists.
-    pub(super) fn listed(&self) -> &[DistinctFailure] {
-        let count = if self.is_main {
-            self.failures.len()
-        } else {
-            self.failures.len().min(MAX_LISTED)
-        };
-        self.failures.get(..count).unwrap_or_default()
     }
 }
 

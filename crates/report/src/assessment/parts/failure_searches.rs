@@ -13,7 +13,6 @@ use crate::assessment::claims::{
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
-use crate::assessment::rich_text::RichText;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, Rounded};
 use crumple_search::confirmation::ReplayShare;
@@ -201,92 +200,9 @@ impl SpaceSearches {
     fn write(&self, out: &mut ReportDocument) {
         out.heading(format!("Space {}", self.name));
         out.table(self.table());
-        let mut details = ReportDocument::new();
         for search in &self.controllers {
-            search.write_details(&mut details);
+            search.write_details(out);
         }
-        out.html_only(details);
-        out.markdown_only(self.severest_failures());
-    }
-
-    fn listed(&self) -> Vec<&DistinctFailure> {
-        self.controllers
-            .iter()
-            .flat_map(FailureSearch::listed)
-            .collect()
-    }
-
-    /// Returns the severest failures of all controllers in one table, for Markdown.
-    fn severest_failures(&self) -> ReportDocument {
-        let mut out = ReportDocument::new();
-        if !self.listed().is_empty() {
-            out.table(self.listed_table());
-        }
-        let unlisted = self.describe_unlisted();
-        if !unlisted.is_empty() {
-            out.paragraph(format!(
-                "Further failures, less severe, in assessment.html and in the folder `counterexamples`: {}.",
-                unlisted.join(", ")
-            ));
-        }
-        for search in &self.controllers {
-            if let Some(others) = search.describe_others() {
-                out.paragraph(format!("{}: {others}", search.controller));
-            }
-        }
-        out.list(self.example_commands());
-        out
-    }
-
-    fn listed_table(&self) -> ReportTable {
-        ReportTable::from_items(
-            self.listed(),
-            &[
-                ("controller and file", &|failure| {
-                    ReportCell::text(failure.name_with_folder())
-                }),
-                ("what happens", &|failure| {
-                    ReportCell::text(failure.describe())
-                }),
-                ("impact (m/s)", &|failure| {
-                    ReportCell::optional(failure.impact_speed_mps)
-                }),
-                ("gap of the escape (m)", &|failure| {
-                    ReportCell::text(failure.describe_escape())
-                }),
-                ("multi-body", &|failure| {
-                    ReportCell::text(failure.describe_multi_body())
-                }),
-                ("rank by likelihood", &|failure| {
-                    ReportCell::number(failure.likelihood_rank)
-                }),
-            ],
-        )
-    }
-
-    /// Returns the number of failures of each controller that the table leaves out.
-    fn describe_unlisted(&self) -> Vec<String> {
-        self.controllers
-            .iter()
-            .filter_map(|search| {
-                let listed = search.listed().len();
-                let count = search.distinct_count().saturating_sub(listed);
-                (count > 0).then(|| format!("{count} of {}", search.controller))
-            })
-            .collect()
-    }
-
-    fn example_commands(&self) -> Vec<RichText> {
-        let listed = self.listed();
-        let replay = listed.iter().find_map(|failure| failure.replay.as_ref());
-        let search = self
-            .controllers
-            .iter()
-            .find_map(|search| search.command.as_ref());
-        let replay =
-            replay.map(|command| RichText::from("First counterexample: ").and_code(command));
-        let search = search.map(|command| RichText::from("First search: ").and_code(command));
-        replay.into_iter().chain(search).collect()
     }
 }
 
@@ -297,6 +213,11 @@ impl ReportPart for FailureSearches {
             anchor: ANCHOR,
             title: "Counterexamples found by search",
         }
+    }
+
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        // A search has a method and two reference searches.
+        plan.runs_of_all(3 * plan.search_spaces.len() as u64 * plan.config.search.budget)
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -319,7 +240,7 @@ impl ReportPart for FailureSearches {
         self.spaces
             .iter()
             .map(|space| {
-                ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, space.domain(plan))
+                ClaimDraft::about_all(plan, ANCHOR, Property::NoCollision, space.domain(plan))
             })
             .collect()
     }
@@ -345,7 +266,7 @@ impl FailureSearch {
         Evidence {
             claim: AssuranceClaim {
                 subject,
-                property: Property::NoContact,
+                property: Property::NoCollision,
                 domain,
             },
             strength: self.strength(),

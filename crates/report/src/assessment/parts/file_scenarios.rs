@@ -8,19 +8,20 @@ use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION, RoundedAvoidance};
 use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, run_cases};
 use crate::assessment::claim_draft::ClaimDraft;
-use crate::assessment::claims::{Evidence, Property};
+use crate::assessment::claims::{ContentId, Evidence, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand};
+use crumple_core::text_file::is_default;
 use crumple_sim::engine::RunError;
 use crumple_sim::scenario::Scenario;
 
 const MAX_DETAILED: usize = 12;
 
-const ANCHOR: &str = "traffic";
+pub(in crate::assessment) const ANCHOR: &str = "traffic";
 
 /// Every controller in every scenario that the configuration names.
 #[derive(Debug, Clone, Serialize)]
@@ -28,6 +29,9 @@ const ANCHOR: &str = "traffic";
 pub struct FileScenarios {
     /// One entry per scenario.
     pub scenarios: Vec<ScenarioCases>,
+    /// Number of scenarios whose last vehicle is under test: no collision from behind can happen.
+    #[serde(skip_serializing_if = "is_default")]
+    pub without_vehicle_behind: u64,
     /// Parts of recordings that are no scenarios, with reasons.
     pub left_out: Vec<String>,
     /// Indices of the scenarios shown in detail.
@@ -52,8 +56,13 @@ impl FileScenarios {
         for (&index, detailed) in closest_first.iter().zip(detailed) {
             scenarios[index] = detailed;
         }
+        let files = plan.file_scenarios.iter();
+        let without_vehicle_behind = files
+            .filter(|(_, scenario)| scenario.ends_under_test())
+            .count() as u64;
         Ok(Some(Self {
             scenarios,
+            without_vehicle_behind,
             left_out: plan.left_out.iter().map(ToString::to_string).collect(),
             closest_first,
         }))
@@ -156,8 +165,30 @@ fn closest_m(scenario: &ScenarioCases) -> f64 {
 }
 
 pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {
-    format!("scenarios/{}.toml", file_stem(&scenario.spec().name))
+    scenario_file(&scenario.spec().name)
 }
+
+impl FileScenarios {
+    /// Returns the file of the first scenario of a domain in which a controller fails.
+    pub(in crate::assessment) fn failing_file(
+        &self,
+        controller: &str,
+        domain: &[ContentId],
+    ) -> Option<String> {
+        let mut scenarios = self.scenarios.iter();
+        let failing = scenarios.find(|scenario| {
+            scenario.fails(controller) && domain.contains(&scenario.content_id())
+        })?;
+        Some(scenario_file(&failing.scenario))
+    }
+}
+
+fn scenario_file(name: &str) -> String {
+    format!("{SCENARIO_FOLDER}/{}.toml", file_stem(name))
+}
+
+/// Folder of the report with the scenarios from files and recordings.
+pub(in crate::assessment) const SCENARIO_FOLDER: &str = "scenarios";
 
 fn format_case(case: &CaseResult) -> String {
     let gaps = [case.ahead.min_gap_m, case.behind.min_gap_m]
@@ -200,17 +231,24 @@ impl ReportPart for FileScenarios {
         }
     }
 
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        plan.runs_of_all(plan.file_scenarios.len() as u64)
+    }
+
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
-        let mut regret = ReportDocument::new();
-        regret.paragraph(format!("{REGRET_EXPLANATION} {ESCAPES_NOTE}"));
-        out.html_only(regret);
-        let mut regret = ReportDocument::new();
-        regret.paragraph(REGRET_EXPLANATION);
-        out.markdown_only(regret);
+        if self.without_vehicle_behind > 0 {
+            out.paragraph(format!(
+                "In {} of {} scenarios no vehicle is behind the last one under test: collisions from behind cannot \
+                 happen.",
+                self.without_vehicle_behind,
+                self.scenarios.len()
+            ));
+        }
+        out.paragraph(format!("{REGRET_EXPLANATION} {ESCAPES_NOTE}"));
         out.table(self.overview_table());
         self.write_left_out(out);
-        out.html_only(self.details());
+        self.write_details(out);
     }
 
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
@@ -222,7 +260,7 @@ impl ReportPart for FileScenarios {
         vec![ClaimDraft::about_all(
             plan,
             ANCHOR,
-            Property::NoContact,
+            Property::NoCollision,
             domain,
         )]
     }
@@ -240,24 +278,19 @@ impl FileScenarios {
         if self.left_out.is_empty() {
             return;
         }
-        let summary = self.describe_left_out();
-        let mut lead = ReportDocument::new();
-        lead.paragraph(format!("{summary}:"));
-        out.markdown_only(lead);
         let mut parts = ReportDocument::new();
         parts.list(&self.left_out);
-        out.collapsible(summary, parts);
+        out.collapsible(self.describe_left_out(), parts);
     }
 
-    /// Returns the scenarios with the smallest gaps, each with its tables and figures.
-    fn details(&self) -> ReportDocument {
+    /// Writes the scenarios with the smallest gaps, each with its tables and figures.
+    fn write_details(&self, out: &mut ReportDocument) {
         let shown = self
             .closest_first
             .iter()
             .filter_map(|&index| self.scenarios.get(index));
         let shown: Vec<&ScenarioCases> = shown.collect();
-        let mut details = ReportDocument::new();
-        details.paragraph(match shown.len() < self.scenarios.len() {
+        out.paragraph(match shown.len() < self.scenarios.len() {
             true => format!(
                 "Details of the {} of {} scenarios with the smallest gaps:",
                 shown.len(),
@@ -266,9 +299,8 @@ impl FileScenarios {
             false => "Details, smallest gap first:".to_owned(),
         });
         for scenario in shown {
-            details.collapsible(&scenario.scenario, scenario_details(scenario));
+            out.collapsible(&scenario.scenario, scenario_details(scenario));
         }
-        details
     }
 }
 

@@ -8,7 +8,7 @@ use crate::assessment::table::{ReportCell, ReportTable};
 #[derive(Debug, Clone, Copy)]
 pub struct Glossary;
 
-const TERMS: [(&str, &str); 24] = [
+const TERMS: [(&str, &str); 25] = [
     (
         "avoidable",
         "some allowed command of the ego vehicle prevents the collision; the report has such a profile, simulated",
@@ -53,6 +53,10 @@ const TERMS: [(&str, &str); 24] = [
     (
         "induced braking",
         "braking that the ego vehicle causes its follower to do",
+    ),
+    (
+        "level",
+        "hardest braking of the leader for which a plan avoids a collision on both sides, for one class of followers",
     ),
     (
         "peak jerk",

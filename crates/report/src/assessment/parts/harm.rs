@@ -1,7 +1,8 @@
 //! Effects of braking: collisions ahead avoided, collisions behind caused, and harm, for each kind of follower.
 //!
 //! Every controller drives the same random scenarios as in [`super::SpaceSamples`]; vehicles that collide drive on as
-//! one body. The first controller of the configuration is the reference, for example one that never brakes.
+//! one body, and one that has hit its leader holds its brake or coasts, as the configuration states. The first
+//! controller of the configuration is the reference, for example one that never brakes.
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -19,11 +20,11 @@ use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
-use crate::assessment::{AssessError, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, Rounded};
 use crumple_measure::harm;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_sim::engine::{
-    AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult,
+    AfterCollision, NamedController, RecordingLevel, RunOptions, SimulationResult,
 };
 use crumple_sim::scenario::{Scenario, VehicleSpec};
 
@@ -96,6 +97,8 @@ struct HarmRun {
     activates: bool,
     /// Impact speed with the leader, and of the follower, in m/s.
     impacts_mps: [Option<f64>; 2],
+    /// True if the follower hit the vehicle under test before that hit the leader.
+    is_pushed: bool,
     harm: f64,
 }
 
@@ -122,6 +125,7 @@ impl HarmRun {
                 .get(ego)
                 .is_some_and(|vehicle| vehicle.max_brake_mps2 > ACTIVATION_MPS2),
             impacts_mps: [ego, ego + 1].map(|rear| hardest_impact_mps(simulated, rear)),
+            is_pushed: is_pushed(simulated, ego),
             harm: harm(&simulated.impacts, vehicles.len()),
         }
     }
@@ -146,6 +150,7 @@ impl HarmRun {
     fn simulate_all(
         scenarios: &[Scenario],
         controller: &NamedController,
+        after_collision: AfterCollision,
         work: &GatherContext<'_>,
     ) -> Result<Vec<Self>, AssessError> {
         let options =
@@ -158,7 +163,7 @@ impl HarmRun {
             .iter()
             .map(|&index| scenarios[index].clone())
             .collect();
-        let options = options.with_after_contact(AfterContact::Continue);
+        let options = options.with_after_collision(after_collision);
         let continued = simulate_each(&scenarios, &options, RecordingLevel::Summary, Self::new)?;
         for (index, run) in collided.into_iter().zip(continued) {
             // Braking of vehicles that stick together is no activation.
@@ -173,6 +178,7 @@ impl HarmRun {
     fn gather(
         named: &NamedSpace,
         controller: &NamedController,
+        harm: &HarmConfig,
         work: &GatherContext<'_>,
     ) -> Result<Vec<Self>, AssessError> {
         let config = &work.plan.config;
@@ -180,7 +186,8 @@ impl HarmRun {
             named.text,
             config.draws,
             config.seed,
-            work.plan.identity(controller)
+            work.plan.identity(controller),
+            harm.after_collision
         ]);
         work.get_or_gather(
             &format!("harm of {} in {}", controller.name, named.space.name()),
@@ -189,7 +196,12 @@ impl HarmRun {
                 let mut runs = Vec::new();
                 for draws in batches(config.draws) {
                     let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
-                    runs.extend(Self::simulate_all(&scenarios, controller, work)?);
+                    runs.extend(Self::simulate_all(
+                        &scenarios,
+                        controller,
+                        harm.after_collision.into(),
+                        work,
+                    )?);
                     work.add_runs(scenarios.len() as u64)?;
                 }
                 Ok(runs)
@@ -211,10 +223,22 @@ fn hardest_impact_mps(simulated: &SimulationResult, rear: usize) -> Option<f64> 
     let impacts = simulated
         .impacts
         .iter()
-        .filter(|impact| impact.contact.rear_vehicle == rear);
+        .filter(|impact| impact.collision.rear_vehicle == rear);
     impacts
-        .map(|impact| impact.contact.impact_speed_mps)
+        .map(|impact| impact.collision.impact_speed_mps)
         .reduce(f64::max)
+}
+
+/// Returns true if the follower hits a vehicle before that hits its leader.
+fn is_pushed(simulated: &SimulationResult, vehicle: usize) -> bool {
+    let first_impact = |rear: usize| {
+        let mut impacts = simulated.impacts.iter();
+        impacts.position(|impact| impact.collision.rear_vehicle == rear)
+    };
+    match [vehicle, vehicle + 1].map(first_impact) {
+        [Some(ahead), Some(behind)] => behind < ahead,
+        _ => false,
+    }
 }
 
 /// Returns the avoidability of the first scenarios of a space.
@@ -232,7 +256,7 @@ fn gather_avoidability(
             let scenarios = draw_scenarios(&named.space, config.seed, 0..count)?;
             Ok(scenarios
                 .par_iter()
-                .map(|scenario| Avoidability::classify_contact(scenario).is_avoidable())
+                .map(|scenario| Avoidability::classify_collision(scenario).is_avoidable())
                 .collect())
         },
     )
@@ -252,7 +276,7 @@ impl HarmReport {
             let avoidability = gather_avoidability(named, config, work)?;
             let mut runs = Vec::new();
             for controller in &plan.controllers {
-                let of_controller = HarmRun::gather(named, controller, work)?;
+                let of_controller = HarmRun::gather(named, controller, config, work)?;
                 write_csv(
                     &mut runs_csv,
                     named.space.name(),
@@ -280,7 +304,7 @@ impl HarmReport {
 }
 
 const CSV_HEADER: &str = "space,controller,draw,follower,speed_mps,gap_ahead_s,gap_behind_s,friction,avoidable,\
-                          activates,ahead_mps,behind_mps,harm\n";
+                          activates,ahead_mps,behind_mps,pushed,harm\n";
 
 fn write_csv(
     out: &mut String,
@@ -300,7 +324,7 @@ fn write_csv(
         // A controller's name may have commas.
         let _ = writeln!(
             out,
-            "{space},\"{}\",{draw},{},{},{ahead_s},{behind_s},{},{avoidable},{},{},{},{}",
+            "{space},\"{}\",{draw},{},{},{ahead_s},{behind_s},{},{avoidable},{},{},{},{},{}",
             controller.replace('"', "\"\""),
             run.follower,
             run.speed_mps,
@@ -308,6 +332,7 @@ fn write_csv(
             u8::from(run.activates),
             number_or_empty(run.impacts_mps[0]),
             number_or_empty(run.impacts_mps[1]),
+            u8::from(run.is_pushed),
             run.harm
         );
     }
@@ -444,6 +469,9 @@ fn count_pairs(
         .count() as u64
 }
 
+/// File with a line for each run.
+pub(in crate::assessment) const HARM_RUNS_FILE: &str = "runs.csv";
+
 impl ReportPart for HarmReport {
     fn heading(&self) -> PartHeading {
         PartHeading {
@@ -453,8 +481,18 @@ impl ReportPart for HarmReport {
         }
     }
 
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        if plan.config.harm.is_none() {
+            return 0;
+        }
+        plan.runs_of_all(plan.rate_spaces.len() as u64 * plan.config.draws)
+    }
+
     fn files(&self) -> Vec<(String, Vec<u8>)> {
-        vec![("runs.csv".to_owned(), self.runs_csv.clone().into_bytes())]
+        vec![(
+            HARM_RUNS_FILE.to_owned(),
+            self.runs_csv.clone().into_bytes(),
+        )]
     }
 
     fn write(&self, out: &mut ReportDocument) {

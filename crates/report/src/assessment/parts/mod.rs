@@ -1,4 +1,7 @@
-//! The parts of an assessment, one file each.
+//! The parts of an assessment, one file each, and the results that an assessment gathers before it concludes.
+//!
+//! A new section of the report is a file in this folder that implements [`ReportPart`], and here a `mod` and a row of
+//! the table of results.
 
 mod answer;
 mod argument;
@@ -12,12 +15,15 @@ mod failure_searches;
 mod file_scenarios;
 mod glossary;
 mod harm;
+#[cfg(test)]
+mod library_text_tests;
 mod limits;
 mod oscillation_gain;
 mod paper;
 mod proofs;
 mod provenance;
 mod rate_certificates;
+mod recorded_drives;
 mod sampling;
 mod scenario_cases;
 mod search_campaign;
@@ -38,19 +44,127 @@ pub use distinct_failure::{DistinctFailure, EscapeFile, MethodResult};
 pub use failure_search::FailureSearch;
 pub use failure_searches::{FailureSearches, SpaceSearches};
 pub use file_scenarios::FileScenarios;
-pub(super) use file_scenarios::scenario_path;
+pub(super) use file_scenarios::{ANCHOR as FILE_SCENARIOS_ANCHOR, SCENARIO_FOLDER, scenario_path};
 pub use glossary::Glossary;
+pub(super) use harm::HARM_RUNS_FILE;
 pub use harm::{ACTIVATION_MPS2, ControllerHarm, HarmGroup, HarmReport};
 pub use limits::{AssessmentLimits, LimitingAssumption};
 pub use oscillation_gain::{GainCurve, LargestGain, OscillationGain};
+pub(super) use paper::ANCHOR as PAPER_ANCHOR;
 pub use paper::PaperScenarios;
 pub use proofs::Proofs;
 pub use provenance::{AssessmentProvenance, RunInfo};
 pub(super) use rate_certificates::generated_certificate_names;
+pub use recorded_drives::RecordedDrives;
 pub use sampling::{ControllerSample, PairedCounts, SpaceSample, SpaceSamples};
 pub use scenario_cases::ScenarioCases;
 pub use share::PercentInterval;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
 pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
-pub use usefulness::{ControllerUsefulness, UsefulnessReport};
+pub use usefulness::{ControllerUsefulness, SpaceBraking, UsefulnessReport};
+
+use serde::Serialize;
+
+use super::claim_draft::ClaimDraft;
+use super::gather_context::GatherContext;
+use super::report_part::{ReportPart, sort_by_chapter};
+use super::{AssessError, AssessmentPlan, Evidence};
+
+/// Declares [`GatheredResults`]. A row names a part and its field, in the order of `assessment.json`. The part has a
+/// function `gather` that returns the field.
+macro_rules! gathered_results {
+    ($($(#[$attribute:meta])* $part:ident => $field:ident: $type:ty,)*) => {
+        /// All results that an assessment gathered. The rest of the report follows from them and the plan.
+        #[derive(Debug, Clone, Serialize)]
+        #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+        pub struct GatheredResults {
+            $($(#[$attribute])* pub $field: $type,)*
+            /// Proved claims.
+            pub proofs: Proofs,
+        }
+
+        impl GatheredResults {
+            pub(super) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
+                $(let $field = $part::gather(work)?;)*
+                let certified: Vec<&dyn ReportPart> = [$(as_part::<$part>(&$field)),*]
+                    .into_iter()
+                    .flatten()
+                    .collect();
+                let proofs = Proofs::gather(work, &certified)?;
+                Ok(Self { $($field,)* proofs })
+            }
+
+            /// Returns the approximate number of runs that a plan needs for all parts.
+            fn runs(plan: &AssessmentPlan) -> u64 {
+                let runs = [$(<$part as ReportPart>::runs(plan),)* <Proofs as ReportPart>::runs(plan)];
+                runs.into_iter().fold(0, u64::saturating_add)
+            }
+
+            /// Returns the parts that were gathered, in the order of the fields.
+            pub(super) fn parts(&self) -> Vec<&dyn ReportPart> {
+                let parts = [$(as_part::<$part>(&self.$field),)* as_part::<Proofs>(&self.proofs)];
+                parts.into_iter().flatten().collect()
+            }
+        }
+    };
+}
+
+gathered_results! {
+    /// Paper's three scenarios; absent if the plan leaves the paper out.
+    PaperScenarios => paper_scenarios: Option<PaperScenarios>,
+    /// Failures counted on random scenarios of scenario spaces.
+    SpaceSamples => rate_spaces: SpaceSamples,
+    /// Collisions ahead and behind, and harm; absent unless the configuration asks for them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    HarmReport => harm: Option<HarmReport>,
+    /// Scenarios from files; absent if the configuration names none.
+    FileScenarios => file_scenarios: Option<FileScenarios>,
+    /// Tests that are modelled on regulations; absent if the configuration names no suites.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    Suites => suites: Option<Suites>,
+    /// Results of searches for failures.
+    FailureSearches => searches: FailureSearches,
+    /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
+    UsefulnessReport => usefulness: Option<UsefulnessReport>,
+    /// Every controller on recorded drives; absent if the configuration names none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    RecordedDrives => recorded_drives: Option<RecordedDrives>,
+}
+
+/// Returns a field as a part; `None` if it is absent.
+fn as_part<'a, P: ReportPart + 'a>(field: impl Into<Option<&'a P>>) -> Option<&'a dyn ReportPart> {
+    field.into().map(|part| part as &dyn ReportPart)
+}
+
+impl GatheredResults {
+    pub(super) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
+        self.parts()
+            .into_iter()
+            .flat_map(|part| part.evidence(plan))
+            .collect()
+    }
+
+    /// Returns the claims of all parts, in the order of the page.
+    pub(super) fn claims(&self, plan: &AssessmentPlan) -> Vec<ClaimDraft> {
+        let mut parts = self.parts();
+        sort_by_chapter(&mut parts);
+        parts
+            .into_iter()
+            .flat_map(|part| part.claims(plan))
+            .collect()
+    }
+}
+
+impl AssessmentPlan {
+    /// Returns the approximate number of runs of the plan: searches may end early.
+    #[must_use]
+    pub fn runs(&self) -> u64 {
+        GatheredResults::runs(self)
+    }
+
+    /// Returns the number of runs if each controller makes the same number.
+    pub(super) fn runs_of_all(&self, of_each: u64) -> u64 {
+        (self.controllers.len() as u64).saturating_mul(of_each)
+    }
+}

@@ -147,7 +147,7 @@ impl OscillationGain {
                 largest: largest.gain,
                 points,
             },
-            _ => Strength::Untried,
+            _ => Strength::NotShown,
         }
     }
 
@@ -437,7 +437,7 @@ mod tests {
         let unsettled = measured(vec![Ok(0.9), Err(NoGain::NotSteady)]);
         assert_eq!(
             (unsettled.strength(), unsettled.damps_all()),
-            (Strength::Untried, false)
+            (Strength::NotShown, false)
         );
         let collides = measured(vec![Ok(0.9), Err(NoGain::Collision)]);
         assert_eq!(
@@ -460,6 +460,6 @@ mod tests {
                 ..
             }
         ));
-        assert_eq!(measured(Vec::new()).strength(), Strength::Untried);
+        assert_eq!(measured(Vec::new()).strength(), Strength::NotShown);
     }
 }

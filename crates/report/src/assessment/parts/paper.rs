@@ -4,7 +4,7 @@ use crumple_verify::Certificate;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::scenario_cases::FURTHER_MEASURES_NOTE;
+use super::scenario_cases::LEVEL_NOTE;
 use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION};
 use crate::assessment::case::{CaseResult, MotionRetention, run_cases};
@@ -28,7 +28,7 @@ pub struct PaperScenarios {
     side_by_side: Vec<usize>,
 }
 
-pub(super) const ANCHOR: &str = "paper";
+pub(in crate::assessment) const ANCHOR: &str = "paper";
 
 impl PaperScenarios {
     /// Returns the paper's scenarios with the seed of the plan; none if the plan leaves the paper out.
@@ -122,8 +122,15 @@ impl ReportPart for PaperScenarios {
         }
     }
 
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        if !plan.config.paper {
+            return 0;
+        }
+        plan.runs_of_all(built_in_scenario_names().len() as u64)
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        [INTRODUCTION, REGRET_EXPLANATION, FURTHER_MEASURES_NOTE]
+        [INTRODUCTION, REGRET_EXPLANATION, LEVEL_NOTE]
             .iter()
             .for_each(|&paragraph| out.paragraph(paragraph));
         self.scenarios
@@ -140,7 +147,7 @@ impl ReportPart for PaperScenarios {
         vec![ClaimDraft::about_all(
             plan,
             ANCHOR,
-            Property::NoContact,
+            Property::NoCollision,
             domain,
         )]
     }
@@ -171,11 +178,9 @@ impl PaperScenarios {
         ));
         out.paragraph(scenario.describe_avoidance());
         scenario.write_tables(out);
-        let mut figures = ReportDocument::new();
         for case in self.select_cases(scenario, false) {
-            scenario.write_folded_figure(case, &mut figures);
+            scenario.write_folded_figure(case, out);
         }
-        out.html_only(figures);
     }
 
     fn figure_file(&self, scenario: &ScenarioCases) -> (String, Vec<u8>) {

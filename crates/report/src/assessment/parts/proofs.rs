@@ -4,8 +4,8 @@ use crumple_verify::Assumption;
 use serde::Serialize;
 
 use super::certificates::{
-    self, CertificateStatus, CertificateSubject, CheckedCertificate, describe_estimator,
-    kernel_domain, shield_kernels,
+    self, CertificateStatus, CertificateSubject, CheckedCertificate, CountedPairs,
+    describe_estimator, kernel_domain, shield_kernels,
 };
 use super::failure_searches;
 use crate::assessment::claim_draft::ClaimDraft;
@@ -13,7 +13,6 @@ use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, Pro
 use crate::assessment::commands::CHECK_ARGUMENTS;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
-use crate::assessment::report_block::ReportBlock;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::rich_text::RichText;
 use crate::assessment::table::{ReportCell, ReportTable};
@@ -74,6 +73,25 @@ impl Proofs {
         })
     }
 
+    /// Returns the path of a certificate in the report folder; `None` if the checker rejected it.
+    pub(in crate::assessment) fn certificate_file(&self, name: &str) -> Option<&str> {
+        let mut certificates = self.certificates.iter();
+        certificates
+            .find(|proof| proof.name == name)
+            .and_then(|proof| proof.file.as_deref())
+    }
+
+    /// Returns the counts of the certificate that compares two controllers in a space, if there is one.
+    pub(in crate::assessment) fn counted_pairs(
+        &self,
+        controller: &str,
+        than: &str,
+        space: &ContentId,
+    ) -> Option<CountedPairs> {
+        let mut certificates = self.certificates.iter();
+        certificates.find_map(|proof| proof.counted_pairs(controller, than, space))
+    }
+
     /// Returns the claims of certificates about boxes of initial states, each domain once.
     fn reach_claims(&self) -> Vec<&AssuranceClaim> {
         let mut boxes: Vec<&AssuranceClaim> = Vec::new();
@@ -104,7 +122,7 @@ impl Proofs {
                     ReportCell::text(proof.subject.describe())
                 }),
                 ("SHA-256", &|proof| match proof.file {
-                    Some(_) => ReportCell::digest(&proof.sha256),
+                    Some(_) => ReportCell::text(format!("`{}`", proof.sha256)),
                     None => ReportCell::text("– (not written)"),
                 }),
             ],
@@ -151,6 +169,26 @@ impl Proofs {
         })
     }
 
+    /// States the result of the checks in this run.
+    fn describe_checks(&self) -> String {
+        let written = self
+            .certificates
+            .iter()
+            .filter(|proof| proof.file.is_some());
+        let is_rejected = |proof: &&CheckedCertificate| {
+            matches!(proof.status, CertificateStatus::Rejected { .. })
+        };
+        let rejected = self.certificates.iter().filter(is_rejected).count();
+        let rejected = match rejected {
+            0 => String::new(),
+            count => format!(" It rejected {count}, which are not written."),
+        };
+        format!(
+            "In this run the checker accepted {} certificates, the files in the folder `certificates`.{rejected}",
+            written.count()
+        )
+    }
+
     fn assumptions(&self) -> Vec<String> {
         let mut lines: Vec<String> = Vec::new();
         let mut written: Vec<(&str, &[Assumption])> = Vec::new();
@@ -180,13 +218,12 @@ impl Proofs {
     }
 }
 
-const INTRODUCTION: &str = "The checker read each certificate in this run; it uses no code of the simulator, the \
-    search or the solver. The folder `certificates` has those that it accepted. A kernel certificate is about the \
-    safety kernel of a shield. A rate bounds the failure rate by counts of runs that were registered before the \
-    first one, and a comparison shows which of two controllers fails less often; `--rerun` repeats the counts. Reach \
-    is about all initial states of a box. A gap bound is about every driver of a scenario. No proof covers the \
-    vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel scale by its \
-    inverse.";
+const INTRODUCTION: &str = "The checker uses no code of the simulator, the search or the solver. A kernel certificate \
+    is about the safety kernel of a shield. A rate bounds the failure rate by counts of runs that were registered \
+    before the first one, and a comparison shows which of two controllers fails less often; `--rerun` repeats the \
+    counts. Reach is about all initial states of a box. A gap bound is about every driver of a scenario. No proof \
+    covers the vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel \
+    scale by its inverse.";
 
 impl ReportPart for Proofs {
     fn heading(&self) -> PartHeading {
@@ -197,8 +234,15 @@ impl ReportPart for Proofs {
         }
     }
 
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        let controllers = plan.controllers.iter();
+        let learned = controllers.filter(|controller| controller.source.is_learned());
+        let counts = plan.rate_spaces.len() as u64 * (learned.count() as u64 + 1);
+        counts.saturating_mul(plan.config.rates.runs)
+    }
+
     fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(INTRODUCTION);
+        out.paragraph(format!("{} {INTRODUCTION}", self.describe_checks()));
         out.table(self.table());
         out.paragraph(format!(
             "Repeat the checks in the folder of this report: `crumple {CHECK_ARGUMENTS}`"
@@ -206,7 +250,7 @@ impl ReportPart for Proofs {
         if let Some(command) = self.recount_command() {
             out.paragraph(RichText::from("Repeat the counts: ").and_code(command));
         }
-        out.html_only(ReportBlock::Heading("Assumptions of the proofs".to_owned()));
+        out.heading("Assumptions of the proofs");
         out.list(self.assumptions());
     }
 
@@ -248,7 +292,12 @@ fn whole_space_claims(plan: &AssessmentPlan) -> Vec<ClaimDraft> {
             let domain = Domain::Space {
                 space: space.clone(),
             };
-            ClaimDraft::about_all(plan, failure_searches::ANCHOR, Property::NoContact, domain)
+            ClaimDraft::about_all(
+                plan,
+                failure_searches::ANCHOR,
+                Property::NoCollision,
+                domain,
+            )
         })
         .collect()
 }
@@ -273,7 +322,7 @@ fn shield_claim(plan: &AssessmentPlan, domain: &Domain) -> ClaimDraft {
         shield_domain(controller).filter(|own| own == domain)?;
         Some(AssuranceClaim {
             subject: plan.claim_subject(index, plan.config.estimator)?,
-            property: Property::NoContactAhead,
+            property: Property::NoCollisionAhead,
             domain: domain.clone(),
         })
     });

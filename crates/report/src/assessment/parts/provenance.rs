@@ -36,10 +36,16 @@ pub struct AssessmentProvenance {
     pub config: AssessConfig,
     /// SHA-256 of the configuration and of every scenario and space that it names.
     pub config_sha256: String,
+    /// Names of the controllers whose files are not in the report folder, such as compiled programs.
+    #[serde(skip)]
+    pub(in crate::assessment) absent_controllers: Vec<String>,
     /// Hashes of all cached evidence.
     pub evidence: Vec<EvidenceHash>,
     /// Time, program and machine of the assessment, if known.
     pub run_info: Option<RunInfo>,
+    /// Command that repeats the assessment in the folder of its report.
+    #[serde(skip)]
+    repeat_command: String,
 }
 
 impl AssessmentProvenance {
@@ -69,8 +75,13 @@ impl AssessmentProvenance {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),
             config_sha256: sha256(&inputs),
+            absent_controllers: plan
+                .controllers_outside_report()
+                .map(str::to_owned)
+                .collect(),
             evidence: cache.hashes(),
             run_info: None,
+            repeat_command: plan.repeat_command().to_string(),
         }
     }
 
@@ -129,11 +140,18 @@ impl AssessmentProvenance {
             ),
             ("gates", config.gates.len().to_string()),
             (
-                "repeat with",
-                "crumple assess, and the configuration in assessment.json as a file".to_owned(),
+                "repeat in the folder of this report",
+                self.repeat_command.clone(),
+            ),
+            (
+                "to repeat, first copy into this folder",
+                self.absent_controllers.join(", "),
             ),
             ("scenarios from files", files.join(", ")),
-            ("configuration, SHA-256", self.config_sha256.clone()),
+            (
+                "configuration with all its scenarios and spaces, SHA-256",
+                self.config_sha256.clone(),
+            ),
         ];
         lines
             .into_iter()
@@ -170,22 +188,13 @@ impl ReportPart for AssessmentProvenance {
         }
     }
 
-    /// HTML begins with the inputs, and folds the hashes. Markdown ends with the inputs, and has no hashes.
     fn write(&self, out: &mut ReportDocument) {
-        let run = self.run_info.as_ref().map(RunInfo::describe);
-        let mut inputs = ReportDocument::new();
-        if let Some(run) = &run {
-            let text = format!("Run of {run}.").into();
-            inputs.push(ReportBlock::Paragraph(text, ParagraphStyle::Id("made")));
+        if let Some(run) = &self.run_info {
+            let text = format!("Run of {}.", run.describe()).into();
+            out.push(ReportBlock::Paragraph(text, ParagraphStyle::Id("made")));
         }
-        inputs.push(ReportBlock::Definitions(self.inputs()));
-        out.html_only(inputs);
+        out.push(ReportBlock::Definitions(self.inputs()));
         out.paragraph(CACHE_NOTE);
-        let mut hashes = ReportDocument::new();
-        hashes.collapsible("hashes of the evidence", self.hash_table());
-        out.html_only(hashes);
-        let run = run.map(|run| ("made".to_owned(), run));
-        let rows = run.into_iter().chain(self.inputs()).collect();
-        out.markdown_only(ReportBlock::Definitions(rows));
+        out.collapsible("hashes of the evidence", self.hash_table());
     }
 }

@@ -115,7 +115,7 @@ impl ControllerSample {
             Strength::from_paired_counts(own, other_counts, random_scenarios),
             &other.ends.unanswered,
         ) {
-            (Strength::Untried, Some(unanswered)) => Strength::OtherUnanswered {
+            (Strength::NotShown, Some(unanswered)) => Strength::OtherUnanswered {
                 unanswered: unanswered.runs,
                 runs: random_scenarios,
                 reason: unanswered.reason.clone(),
@@ -187,15 +187,15 @@ impl SpaceSample {
 
     fn evidence_about(&self, subject: &Subject, sampled: &ControllerSample) -> [Evidence; 3] {
         let runs = self.random_scenarios;
-        let no_contact = sampled.ends.strength(runs);
+        let no_collision = sampled.ends.strength(runs);
         let others_clear = Strength::from_counts(sampled.ends.ended_by_others, runs);
         let rate = sampled.rate_strength(self);
         [
             self.piece_of_evidence(
                 subject,
-                Property::NoContact,
+                Property::NoCollision,
                 self.draws_domain(),
-                no_contact,
+                no_collision,
             ),
             self.piece_of_evidence(
                 subject,
@@ -236,7 +236,7 @@ impl SpaceSample {
         let mut claims = vec![ClaimDraft::about_all(
             plan,
             ANCHOR,
-            Property::NoContact,
+            Property::NoCollision,
             self.draws_domain(),
         )];
         if named.can_others_collide() {
@@ -496,8 +496,8 @@ impl RunSummary {
             verdict: CaseVerdict::new(simulated, scenario),
             impact_speed_mps: simulated
                 .outcome
-                .contact()
-                .map(|contact| contact.impact_speed_mps),
+                .collision()
+                .map(|collision| collision.impact_speed_mps),
             gaps_m: [
                 smallest_gap_m(simulated, under_test.iter().copied()),
                 smallest_gap_m(simulated, under_test.iter().map(|index| index + 1)),
@@ -578,6 +578,10 @@ impl ReportPart for SpaceSamples {
             anchor: ANCHOR,
             title: "Collision rates",
         }
+    }
+
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        plan.runs_of_all(plan.rate_spaces.len() as u64 * plan.config.draws)
     }
 
     fn write(&self, out: &mut ReportDocument) {

@@ -44,7 +44,7 @@ pub struct ScenarioCases {
     certificate: Option<Certificate>,
 }
 
-/// Returns the evidence of `NoContact` per controller, without runs in which other vehicles collide first.
+/// Returns the evidence of `NoCollision` per controller, without runs in which other vehicles collide first.
 pub(super) fn evidence(
     plan: &AssessmentPlan,
     scenarios: &[ScenarioCases],
@@ -73,7 +73,7 @@ fn evidence_about(
     Evidence {
         claim: AssuranceClaim {
             subject,
-            property: Property::NoContact,
+            property: Property::NoCollision,
             domain: domain(scenarios, part),
         },
         strength: ends.strength(runs),
@@ -86,18 +86,16 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
         super::paper::ANCHOR => "the paper's scenarios",
         _ => "scenario files and recordings",
     };
-    let content_ids = scenarios
-        .iter()
-        .map(|cases| ContentId::from_scenario(cases.scenario.as_str(), &cases.full_scenario))
-        .collect();
+    let content_ids = scenarios.iter().map(ScenarioCases::content_id).collect();
     Domain::Scenarios {
         about: UncomparedText(about.to_owned()),
         all: content_ids,
     }
 }
 
-pub(super) const FURTHER_MEASURES_NOTE: &str = "assessment.html and assessment.json also have headway, time gap, DRAC, \
-    required brake, TET, TIT, jerk and the gaps at standstill.";
+pub(super) const LEVEL_NOTE: &str = "Level: only for followers whose emergency brake fires at a time to collision \
+    below 1.4 s, and whose acceleration before is within 0.3 m/s². As long as the leader brakes at most at the level, \
+    a plan avoids a collision on both sides.";
 
 impl ScenarioCases {
     pub(in crate::assessment) fn new(
@@ -115,6 +113,17 @@ impl ScenarioCases {
             labels: vehicle_names(scenario),
             certificate: None,
         }
+    }
+
+    /// Returns the identifier of the scenario, as domains of claims list it.
+    pub(super) fn content_id(&self) -> ContentId {
+        ContentId::from_scenario(self.scenario.as_str(), &self.full_scenario)
+    }
+
+    /// True if a controller fails in the scenario.
+    pub(super) fn fails(&self, controller: &str) -> bool {
+        let mut cases = self.cases.iter();
+        cases.any(|case| case.controller == controller && case.verdict.is_failure())
     }
 
     /// Adds the avoidance of the scenario, and each controller's regret.
@@ -168,6 +177,9 @@ impl ScenarioCases {
                 ("induced braking (m/s²)", &|case| {
                     ReportCell::optional(case.induced_brake_mps2)
                 }),
+                ("min level (m/s²)", &|case| {
+                    ReportCell::optional(case.min_level_mps2)
+                }),
                 ("pile-up (vehicles)", &|case| {
                     ReportCell::optional(case.pile_up.map(|pile_up| pile_up.vehicles))
                 }),
@@ -217,12 +229,10 @@ impl ScenarioCases {
         )
     }
 
-    /// Writes both tables into HTML, and into Markdown only the first.
+    /// Writes both tables.
     pub(in crate::assessment) fn write_tables(&self, out: &mut ReportDocument) {
         out.table(self.table());
-        let mut further = ReportDocument::new();
-        further.collapsible("further measures", self.further_measures());
-        out.html_only(further);
+        out.collapsible("further measures", self.further_measures());
     }
 
     pub(in crate::assessment) fn replay_command(

@@ -20,7 +20,8 @@ use crate::assessment::run_ends::note_unanswered;
 use crate::assessment::table::{CellMark, ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand};
 use crate::suite::{
-    describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
+    describe_min_margins, describe_preventability, describe_verdict, describe_warning,
+    describe_worst_in_tolerance,
 };
 use crumple_core::digest::sha256;
 use crumple_sim::engine::{FailedControllerRuns, NamedController};
@@ -71,12 +72,12 @@ pub struct SuiteFindings {
     pub suite: ContentId,
     /// Document that the suite is modelled on, and its edition.
     pub document: String,
-    /// Source of the figures.
-    pub figures_from: String,
-    /// Requirements of the document that are outside the model.
-    pub outside: Vec<String>,
-    /// Omitted figures, with reasons.
-    pub left_out: Vec<String>,
+    /// Source of the parameters.
+    pub parameter_source: String,
+    /// Requirements of the document that the model cannot represent.
+    pub not_modelled: Vec<String>,
+    /// Omitted parameters, each with the reason.
+    pub omitted_parameters: Vec<String>,
     /// Tested controllers, in the order of the outcomes of each test.
     pub controllers: Vec<String>,
     /// Tests of the suite.
@@ -90,8 +91,11 @@ pub struct SuiteTest {
     /// Clause of the document.
     pub clause: String,
     /// Name of the test.
-    pub test: String,
-    /// True if the document states all figures; otherwise some were chosen.
+    pub name: String,
+    /// Names of the requirements that the test verifies.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub requirement: Vec<String>,
+    /// True if the document states all parameters; otherwise crumple chose some.
     pub is_as_stated: bool,
     /// One entry per controller.
     pub outcomes: Vec<SuiteOutcome>,
@@ -122,6 +126,9 @@ pub struct SuiteOutcome {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(alias = "unanswered_within")]
     pub unanswered_in_tolerance: Option<FailedControllerRuns>,
+    /// Warning after which the driver brakes, in words; absent in tests without it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warning: Option<String>,
     /// Margins to failure, in words.
     pub margins: Vec<String>,
     /// Worst point found within the ranges and tolerances of the clause, in words; absent if the clause has none.
@@ -189,20 +196,25 @@ impl Suites {
         controller: &'s str,
     ) -> impl Iterator<Item = (&'s SuiteTest, &'s SuiteOutcome)> {
         let suite = self.suites.get(suite_index).into_iter();
-        suite.flat_map(move |findings| {
-            let column = findings
-                .controllers
-                .iter()
-                .position(|name| name == controller);
-            findings
-                .tests
-                .iter()
-                .filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
-        })
+        suite.flat_map(move |findings| findings.outcomes_of(controller))
     }
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.suites.iter().flat_map(SuiteFindings::replay_commands)
+    }
+}
+
+impl SuiteFindings {
+    /// Returns the tests with the outcomes of a controller.
+    pub(in crate::assessment) fn outcomes_of<'s>(
+        &'s self,
+        controller: &str,
+    ) -> impl Iterator<Item = (&'s SuiteTest, &'s SuiteOutcome)> + use<'s> {
+        let mut controllers = self.controllers.iter();
+        let column = controllers.position(|name| name == controller);
+        self.tests
+            .iter()
+            .filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
     }
 }
 
@@ -242,7 +254,8 @@ fn run_planned_suite(
         }
         tests.push(SuiteTest {
             clause: clause.clause.clone(),
-            test: test.name.clone(),
+            name: test.name.clone(),
+            requirement: test.requirement.clone(),
             is_as_stated: test.is_as_stated,
             outcomes,
         });
@@ -250,9 +263,9 @@ fn run_planned_suite(
     let findings = SuiteFindings {
         suite: planned.content_id.clone(),
         document: format!("{}, {}", result.document, result.edition),
-        figures_from: result.parameter_source,
-        outside: result.not_modelled,
-        left_out: result.omitted_parameters,
+        parameter_source: result.parameter_source,
+        not_modelled: result.not_modelled,
+        omitted_parameters: result.omitted_parameters,
         controllers: tested
             .iter()
             .map(|controller| controller.name.clone())
@@ -287,6 +300,7 @@ impl SuiteOutcome {
             runs: passed + failed + within.map_or(0, |within| within.points_run as u64),
             failures: failed + within.map_or(0, |within| within.failures as u64),
             unanswered_in_tolerance: within.and_then(|within| within.unanswered.clone()),
+            warning: tested.warning.map(describe_warning).map(str::to_owned),
             margins: describe_min_margins(&tested.margins),
             worst_in_tolerance: within.map(describe_worst_in_tolerance),
             worst: worst
@@ -307,8 +321,8 @@ impl SuiteOutcome {
         let unanswered = self
             .total_unanswered()
             .map_or(0, |unanswered| unanswered.runs);
-        let contact = self.worst.as_ref().filter(|_| unanswered < self.failures);
-        let mut text = match (self.points, self.passed, contact) {
+        let collision = self.worst.as_ref().filter(|_| unanswered < self.failures);
+        let mut text = match (self.points, self.passed, collision) {
             (0, ..) => "not run".to_owned(),
             (points, None, _) => format!(
                 "{} of {points}; the others cannot be run",
@@ -359,7 +373,7 @@ impl SuiteFailure {
         files.insert(file.clone(), text);
         // A controller without an answer causes no collision, which the command expects.
         let replay = match failed.verdict {
-            TestVerdict::Failed { .. } => collision_command(&file, controller, plan),
+            TestVerdict::Failed { .. } => collision_command(&file, failed, controller, plan),
             _ => None,
         };
         Ok(Self {
@@ -383,10 +397,11 @@ impl SuiteFailure {
 /// Returns the command that simulates a collision; `None` for an external controller.
 fn collision_command(
     file: &str,
+    failed: &FailedPoint,
     controller: &NamedController,
     plan: &AssessmentPlan,
 ) -> Option<CrumpleCommand> {
-    let argument = controller_arg(&*controller.source)?;
+    let argument = failed.with_test_driver(&controller_arg(&*controller.source)?);
     let simulate = CrumpleCommand::new(["simulate", file, "--controller", argument.as_str()])
         .with_args(plan.estimator_args().iter().copied());
     Some(simulate.with_args(["--expect", "collision"]))
@@ -408,7 +423,7 @@ impl SuiteFindings {
                 " (some parameters chosen)"
             };
             let head = [
-                ReportCell::text(format!("{}{chosen}", test.test)),
+                ReportCell::text(format!("{}{chosen}", test.name)),
                 ReportCell::text(&test.clause),
             ];
             table.push_row(
@@ -430,12 +445,15 @@ impl SuiteFindings {
         ReportTable::from_items(
             outcomes,
             &[
-                ("test", &|(test, ..)| ReportCell::text(&test.test)),
+                ("test", &|(test, ..)| ReportCell::text(&test.name)),
                 ("controller", &|(_, controller, _)| {
                     ReportCell::text(controller)
                 }),
                 ("verdict", &|(.., outcome)| {
-                    ReportCell::text(&outcome.verdict)
+                    let parts = [Some(&outcome.verdict), outcome.warning.as_ref()];
+                    let parts: Vec<&str> =
+                        parts.into_iter().flatten().map(String::as_str).collect();
+                    ReportCell::text(parts.join("; "))
                 }),
                 ("margins", &|(.., outcome)| {
                     let margins = outcome.margins.join("; ");
@@ -479,7 +497,7 @@ impl SuiteFindings {
     fn describe(&self) -> String {
         format!(
             "Modelled on {}. Source of the parameters: {} {DISCLAIMER}",
-            self.document, self.figures_from
+            self.document, self.parameter_source
         )
     }
 
@@ -505,6 +523,10 @@ impl ReportPart for Suites {
             anchor: ANCHOR,
             title: "Tests modelled on regulations",
         }
+    }
+
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        plan.suites.iter().map(PlannedSuite::run_count).sum()
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -546,11 +568,8 @@ impl SuiteFindings {
             "verdicts, margins and worst points within tolerances",
             self.details_table(),
         );
-        let mut lead = ReportDocument::new();
-        lead.paragraph("Not modelled, or omitted:");
-        out.markdown_only(lead);
         let mut omissions = ReportDocument::new();
-        omissions.list(self.outside.iter().chain(&self.left_out));
+        omissions.list(self.not_modelled.iter().chain(&self.omitted_parameters));
         out.collapsible("not modelled, or omitted", omissions);
         let commands = self.replay_commands().map(ToString::to_string);
         out.push(ReportBlock::Commands(commands.collect()));

@@ -203,6 +203,7 @@ fn is_measured(claim: &AssuranceClaim) -> bool {
             Domain::Scenarios { .. }
                 | Domain::Draws { .. }
                 | Domain::Search { .. }
+                | Domain::RecordedDrives { .. }
                 | Domain::Oscillations { .. }
         ),
     }
@@ -307,6 +308,7 @@ impl ReportPart for ClaimSummary {
     fn write(&self, out: &mut ReportDocument) {
         out.collapsible("names of controllers and spaces", self.name_table());
         out.paragraph(LEGEND);
+        out.list(LEVELS);
         out.table(self.table());
         let mut rules = ReportDocument::new();
         rules.list(
@@ -314,13 +316,19 @@ impl ReportPart for ClaimSummary {
                 .chain(InferenceRule::DERIVED)
                 .map(InferenceRule::describe),
         );
-        let mut explanation = ReportDocument::new();
-        explanation.collapsible("rules from evidence to claims", rules);
-        out.html_only(explanation);
+        out.collapsible("rules from evidence to claims", rules);
     }
 }
 
-const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
-    failures of both controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level \
-    (`≤ 0.24 % (99.9 %)`), the distinct failures of a search, or the largest gain. A proof holds under the assumptions \
-    in the section \"Proofs\".";
+const LEGEND: &str = "A dash: not claimed. Each cell begins with the strength of the evidence:";
+
+/// The words of cells, and what their numbers mean.
+const LEVELS: [&str; 6] = [
+    "proved: the checker accepted certificates, under the assumptions in the section \"Proofs\"",
+    "bounded: a bound of the failure rate with its confidence level (`≤ 0.24 % (99.9 %)`), or a certified comparison",
+    "tested: no failure in these runs (`0 of 1000`), fewer failures in the same runs (`0 against 1000`), or the \
+     largest gain; other runs may fail",
+    "refuted: runs that fail, distinct failures of a search, a lower bound of the failure rate, or the largest gain",
+    "not shown: evidence was gathered, about the claim or a part of its domain, and does not decide the claim",
+    "not examined: no evidence about the claim was gathered",
+];

@@ -5,7 +5,7 @@ use serde_json::json;
 
 use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
 use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
-use super::sampling::{draw_scenarios, run_samples, simulate_each};
+use super::sampling::{draw_scenarios, simulate_each};
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure, ShareMark};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
@@ -15,13 +15,14 @@ use crate::assessment::config::EVERYDAY_SPACES;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::plan::NamedSpace;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::rounded::or_dash;
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
 use crate::draw::{Ink, Marker, Svg};
-use crumple_measure::{GainSurvey, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
+use crumple_measure::{EASY_BRAKE_MPS2, GainSurvey, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
 use crumple_sim::engine::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
@@ -106,10 +107,39 @@ pub struct ControllerUsefulness {
     pub oscillation_gain: OscillationGain,
     /// Share of failures in dangerous scenarios in percent, with exact bounds.
     pub high_risk_percent: PercentInterval,
+    /// Unnecessary braking in every space of the report: everyday traffic, danger, and the other spaces.
+    #[serde(default)]
+    pub braking_by_space: Vec<SpaceBraking>,
+}
+
+/// Unnecessary braking of a controller in random scenarios of a space.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct SpaceBraking {
+    /// Name of the space.
+    pub space: String,
+    /// Number of random scenarios.
+    pub random_scenarios: u64,
+    /// Scenarios with unnecessary braking.
+    pub unnecessary: u64,
+    /// Scenarios with hard braking where little braking was required.
+    pub hard: u64,
 }
 
 fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
     unanswered.iter().all(Option::is_none)
+}
+
+/// Returns the spaces of the report other than those of everyday traffic and danger, each once.
+fn other_spaces(plan: &AssessmentPlan) -> impl Iterator<Item = &NamedSpace> {
+    let searched = plan.search_spaces.iter().filter(|searched| {
+        let mut counted = plan.rate_spaces.iter();
+        counted.all(|named| named.space.name() != searched.space.name())
+    });
+    plan.rate_spaces
+        .iter()
+        .chain(searched)
+        .filter(|named| !EVERYDAY_SPACES.contains(&named.space.name()))
 }
 
 fn space_id(space: &ScenarioSpace) -> Result<ContentId, CacheError> {
@@ -129,7 +159,10 @@ impl UsefulnessReport {
             plan.config.everyday_draws,
             plan.config.seed,
             plan.config.estimator.name(),
-            plan.identities()
+            plan.identities(),
+            other_spaces(plan)
+                .map(|named| &named.content_id.sha256)
+                .collect::<Vec<_>>()
         ]);
         work.get_or_gather("usefulness", &inputs, || Self::run(work))
     }
@@ -146,10 +179,18 @@ impl UsefulnessReport {
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
         let followers = [&traffic, &high_risk]
             .map(|scenarios| follower_drivers(scenarios).into_iter().collect());
+        let others = other_spaces(plan)
+            .map(|named| {
+                let scenarios = draw_scenarios(&named.space, seed, 0..count)?;
+                Ok((named.space.name().to_owned(), scenarios))
+            })
+            .collect::<Result<Vec<_>, AssessError>>()?;
         let controllers = plan
             .controllers
             .iter()
-            .map(|controller| ControllerUsefulness::run(controller, &traffic, &high_risk, work))
+            .map(|controller| {
+                ControllerUsefulness::run(controller, [&traffic, &high_risk], &others, work)
+            })
             .collect::<Result<_, _>>()?;
         Ok(Some(Self {
             spaces,
@@ -159,6 +200,20 @@ impl UsefulnessReport {
             confidence: CONFIDENCE,
             controllers,
         }))
+    }
+
+    /// Returns the heading of the column with the scenarios of each space in which hard braking was unnecessary.
+    fn hard_braking_heading(&self) -> String {
+        let spaces = self
+            .controllers
+            .first()
+            .map(|useful| &useful.braking_by_space);
+        let names: Vec<&str> = spaces
+            .into_iter()
+            .flatten()
+            .map(|braking| braking.space.as_str())
+            .collect();
+        format!("hard unnecessary braking ({})", names.join("; "))
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
@@ -257,26 +312,33 @@ impl UsefulnessReport {
 
     /// The main results of both sides, for the first page.
     pub(super) fn both_sides_table(&self) -> ReportTable {
-        let columns: [ReportColumn<'_, &ControllerUsefulness>; 8] = [
+        let hard = self.hard_braking_heading();
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 9] = [
             ("controller", &|useful| ReportCell::text(&useful.controller)),
             ("failures in high-risk (%)", &|useful| {
                 ReportCell::number(useful.high_risk_percent.observed)
             }),
-            ("in traffic", &|useful| {
+            ("failures in traffic", &|useful| {
                 ReportCell::with_verdict(useful.failures, useful.failures == 0)
             }),
-            ("unnecessary braking (%)", &|useful| {
+            ("unnecessary braking in traffic (%)", &|useful| {
                 ReportCell::number(useful.unnecessary_braking_percent.observed)
             }),
-            ("hard", &|useful| ReportCell::number(useful.hard_braking)),
-            ("falls behind", &|useful| {
+            (&hard, &|useful| {
+                ReportCell::number(useful.format_hard_braking())
+            }),
+            ("falls behind in traffic", &|useful| {
                 ReportCell::number(useful.left_behind)
             }),
-            ("rms jerk (m/s³)", &|useful| {
+            ("rms jerk in traffic (m/s³)", &|useful| {
                 ReportCell::optional(useful.rms_jerk_mps3)
             }),
-            ("time gap (s)", &|useful| {
+            ("time gap in traffic (s)", &|useful| {
                 ReportCell::optional(useful.time_gap_s)
+            }),
+            ("largest gain in a line", &|useful| {
+                let largest = useful.oscillation_gain.largest;
+                ReportCell::optional(largest.map(|largest| largest.gain))
             }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
@@ -285,8 +347,9 @@ impl UsefulnessReport {
     /// Explains the table of the first page.
     pub(super) fn both_sides_note(&self) -> String {
         format!(
-            "Both sides: {} random scenarios of each space (seed {}). {}. Columns without a space are about `traffic`. \
-             Hard: unnecessary braking harder than {HARD_BRAKE_MPS2} m/s².",
+            "Counts are of {} random scenarios of each space (seed {}). {}. Hard: harder than {HARD_BRAKE_MPS2} m/s² \
+             where less than {EASY_BRAKE_MPS2} m/s² was required. Gain: growth of a speed oscillation from vehicle \
+             to vehicle, above 1 it grows.",
             self.random_scenarios,
             self.seed,
             self.describe_followers()
@@ -380,20 +443,32 @@ impl UsefulnessReport {
 }
 
 impl ControllerUsefulness {
+    /// Simulates everyday traffic, danger, lines of vehicles, and the scenarios of other spaces.
     fn run(
         controller: &NamedController,
-        traffic: &[Scenario],
-        high_risk: &[Scenario],
+        [traffic, high_risk]: [&[Scenario]; 2],
+        others: &[(String, Vec<Scenario>)],
         work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
         let options =
             RunOptions::new(controller.source.clone()).with_estimator(work.plan.config.estimator);
-        let drives = simulate_each(traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
-        let danger = run_samples(high_risk, controller, work.plan)?;
+        let drives = drive_each(traffic, &options, work)?;
+        let danger = drive_each(high_risk, &options, work)?;
         let gain = OscillationGain::new(&GainSurvey::new(&controller.source)?);
         let rates = braking_rates(traffic, &drives, &options)?;
-        work.add_runs((traffic.len() + high_risk.len()) as u64)?;
-        Ok(Self::new(controller, &drives, &danger, rates, gain))
+        let mut useful = Self::new(controller, &drives, &danger, rates, gain);
+        for (space, scenarios) in others {
+            let drives = drive_each(scenarios, &options, work)?;
+            let braking = SpaceBraking::new(space, &drives);
+            useful.braking_by_space.push(braking);
+        }
+        Ok(useful)
+    }
+
+    fn format_hard_braking(&self) -> String {
+        let counts = self.braking_by_space.iter();
+        let counts: Vec<_> = counts.map(|braking| braking.hard.to_string()).collect();
+        counts.join("; ")
     }
 
     /// Returns the number of everyday drives and of dangerous scenarios in which the controller gave no answer.
@@ -456,6 +531,21 @@ impl ControllerUsefulness {
     }
 }
 
+fn drive_each(
+    scenarios: &[Scenario],
+    options: &RunOptions,
+    work: &GatherContext<'_>,
+) -> Result<Vec<EverydayDrive>, AssessError> {
+    let drives = simulate_each(
+        scenarios,
+        options,
+        RecordingLevel::Trace,
+        EverydayDrive::new,
+    )?;
+    work.add_runs(scenarios.len() as u64)?;
+    Ok(drives)
+}
+
 fn format_traffic_and_danger([traffic, danger]: [u64; 2]) -> String {
     format!("{traffic}, {danger}")
 }
@@ -471,6 +561,11 @@ impl ReportPart for UsefulnessReport {
             anchor: ANCHOR,
             title: "Comfort and unnecessary braking",
         }
+    }
+
+    fn runs(plan: &AssessmentPlan) -> u64 {
+        let spaces = 2 + other_spaces(plan).count() as u64;
+        plan.runs_of_all(spaces * plan.config.everyday_draws)
     }
 
     fn write(&self, out: &mut ReportDocument) {
@@ -513,8 +608,8 @@ impl ReportPart for UsefulnessReport {
                 Property::NoGrowingOscillation,
                 OscillationGain::domain(),
             ),
-            ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, traffic),
-            ClaimDraft::about_all(plan, ANCHOR, Property::NoContact, danger),
+            ClaimDraft::about_all(plan, ANCHOR, Property::NoCollision, traffic),
+            ClaimDraft::about_all(plan, ANCHOR, Property::NoCollision, danger),
         ]
     }
 }
@@ -530,11 +625,11 @@ impl UsefulnessReport {
                 let unanswered = in_traffic.unanswered.as_ref();
                 Strength::from_counts_with_unanswered(failures, runs, unanswered, false)
             });
-        let no_contact = in_traffic.strength(runs);
-        let no_contact_in_danger = useful.ends(1).strength(runs);
+        let no_collision = in_traffic.strength(runs);
+        let no_collision_in_danger = useful.ends(1).strength(runs);
         [
             useful.oscillation_gain.evidence_about(&subject),
-            self.piece_of_evidence(&subject, Property::NoContact, &traffic, no_contact),
+            self.piece_of_evidence(&subject, Property::NoCollision, &traffic, no_collision),
             self.piece_of_evidence(
                 &subject,
                 Property::NoUnnecessaryBraking,
@@ -542,7 +637,12 @@ impl UsefulnessReport {
                 unnecessary,
             ),
             self.piece_of_evidence(&subject, Property::KeepsUp, &traffic, keeps_up),
-            self.piece_of_evidence(&subject, Property::NoContact, &danger, no_contact_in_danger),
+            self.piece_of_evidence(
+                &subject,
+                Property::NoCollision,
+                &danger,
+                no_collision_in_danger,
+            ),
         ]
     }
 

@@ -173,7 +173,7 @@ impl Campaign {
             controller: controller.into(),
             estimator: EstimatorKind::Kalman,
             space,
-            specification: Specification::NoContact,
+            specification: Specification::NoCollision,
             failure_criterion: None,
             seed: 0,
             search: SearchSettings::default(),

@@ -10,7 +10,7 @@ use crumple_sim::scenario::{Scenario, VehicleClass};
 #[non_exhaustive]
 pub enum FailureKind {
     /// A collision.
-    Contact {
+    Collision {
         /// Index of the vehicle that is hit.
         front_vehicle: u32,
         /// Index of the vehicle that hits it.
@@ -28,7 +28,7 @@ pub enum FailureKind {
     /// A formula or a rule is violated, whichever vehicles collide.
     Violation {
         /// True if vehicles collided as well.
-        has_contact: bool,
+        has_collision: bool,
     },
 }
 
@@ -42,15 +42,15 @@ impl FailureKind {
         if let Some((_, vehicle)) = verdict.failure {
             return Some(Self::ControllerFailed { vehicle });
         }
-        Some(match (specification, verdict.contact) {
-            (Specification::NoContact, Some(contact)) => Self::Contact {
-                front_vehicle: contact.front_vehicle,
-                rear_vehicle: contact.rear_vehicle,
-                ego_braking: contact.ego_braking,
-                rear_class: contact.rear_class,
+        Some(match (specification, verdict.collision) {
+            (Specification::NoCollision, Some(collision)) => Self::Collision {
+                front_vehicle: collision.front_vehicle,
+                rear_vehicle: collision.rear_vehicle,
+                ego_braking: collision.ego_braking,
+                rear_class: collision.rear_class,
             },
-            (_, contact) => Self::Violation {
-                has_contact: contact.is_some(),
+            (_, collision) => Self::Violation {
+                has_collision: collision.is_some(),
             },
         })
     }
@@ -59,7 +59,7 @@ impl FailureKind {
     #[must_use]
     pub fn vehicles(&self) -> Option<[u32; 2]> {
         match self {
-            Self::Contact {
+            Self::Collision {
                 front_vehicle,
                 rear_vehicle,
                 ..
@@ -73,10 +73,10 @@ impl FailureKind {
     pub fn is_same_failure_mode(&self, other: &Self) -> bool {
         match (self, other) {
             (
-                Self::Contact {
+                Self::Collision {
                     rear_vehicle: a, ..
                 },
-                Self::Contact {
+                Self::Collision {
                     rear_vehicle: b, ..
                 },
             ) => a == b,
@@ -95,13 +95,13 @@ impl FailureKind {
             Self::ControllerFailed { vehicle } => {
                 format!("the controller of vehicle {vehicle} fails")
             }
-            Self::Violation { has_contact: false } => {
-                "the specification is violated without a collision".to_owned()
-            }
-            Self::Violation { has_contact: true } => {
-                "the specification is violated with a collision".to_owned()
-            }
-            &Self::Contact {
+            Self::Violation {
+                has_collision: false,
+            } => "the specification is violated without a collision".to_owned(),
+            Self::Violation {
+                has_collision: true,
+            } => "the specification is violated with a collision".to_owned(),
+            &Self::Collision {
                 front_vehicle,
                 rear_vehicle,
                 ego_braking,

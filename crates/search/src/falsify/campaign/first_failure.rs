@@ -1,6 +1,6 @@
 //! Searches that end at the first failure, to compare methods.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::run::next_points;
 use super::{Campaign, CampaignError, CampaignProgress, ResolvedConfig};
@@ -8,12 +8,12 @@ use crumple_core::non_finite;
 use crumple_core::observer::Observer;
 
 /// Result of a search that ends at its first failure.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FirstFailure {
     /// Number of simulations up to the first failure; `None` if the budget ended before.
     pub simulations: Option<u64>,
     /// Smallest robustness.
-    #[serde(serialize_with = "non_finite::serialize")]
+    #[serde(with = "non_finite")]
     pub least_robustness: f64,
 }
 

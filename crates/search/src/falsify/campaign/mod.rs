@@ -47,7 +47,8 @@ pub use summary::{
 
 use std::ops::RangeInclusive;
 
-use super::InvalidPoints;
+use super::{InvalidPoints, Method};
+use crumple_core::field_error::FieldError;
 use crumple_core::observer::Stopped;
 use crumple_measure::{RunVerdict, SpecificationError};
 use crumple_sim::engine::{RefusedController, RunError};
@@ -102,15 +103,8 @@ pub enum CampaignError {
         problem: InvalidPoints,
     },
     /// A number is out of range.
-    #[error("{field}: must be from {} to {}, found {found}", range.start(), range.end())]
-    OutOfRange {
-        /// Name of the number.
-        field: &'static str,
-        /// Allowed values.
-        range: RangeInclusive<u64>,
-        /// Value.
-        found: u64,
-    },
+    #[error(transparent)]
+    OutOfRange(#[from] FieldError),
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),
@@ -119,6 +113,9 @@ pub enum CampaignError {
         "the controller `{0}` is compared with itself: choose another controller to compare with"
     )]
     ComparedWithItself(String),
+    /// A comparison has the same method twice.
+    #[error("the search method `{}` is given twice", .0.name())]
+    RepeatedMethod(Method),
     /// A controller contradicted itself, or cannot be started any more.
     #[error(transparent)]
     Refused(#[from] RefusedController),
@@ -143,11 +140,9 @@ impl CampaignError {
         if range.contains(&found) {
             Ok(())
         } else {
-            Err(Self::OutOfRange {
-                field,
-                range,
-                found,
-            })
+            let [least, most] = [range.start(), range.end()];
+            let problem = format!("must be from {least} to {most}, found {found}");
+            Err(Self::OutOfRange(FieldError::new(field, problem)))
         }
     }
 

@@ -132,7 +132,7 @@ impl CampaignReader {
         let verdict = &evaluated.verdict;
         // A table does not state which controller failed.
         if verdict.robustness == f64::NEG_INFINITY
-            && verdict.contact.is_none()
+            && verdict.collision.is_none()
             && verdict.failure.is_none()
         {
             return Some("a controller fails".to_owned());

@@ -93,16 +93,16 @@ impl ResolvedConfig {
     }
 
     fn harm(&self, point: &[f64], verdict: &RunVerdict) -> f64 {
-        let contact = verdict
-            .contact
+        let collision = verdict
+            .collision
             .filter(|_| self.record.search.objective == SearchObjective::Harm);
-        let harm = contact.and_then(|contact| {
+        let harm = collision.and_then(|collision| {
             let scenario = self.space.scenario_at(point).ok()?;
             let vehicles = scenario.vehicles();
-            let front = vehicles.get(contact.front_vehicle as usize)?;
-            let rear = vehicles.get(contact.rear_vehicle as usize)?;
+            let front = vehicles.get(collision.front_vehicle as usize)?;
+            let rear = vehicles.get(collision.rear_vehicle as usize)?;
             let masses_kg = [front.mass_kg(), rear.mass_kg()];
-            Some(harm_of_pair(contact.impact_speed_mps, masses_kg))
+            Some(harm_of_pair(collision.impact_speed_mps, masses_kg))
         });
         harm.unwrap_or(0.0)
     }

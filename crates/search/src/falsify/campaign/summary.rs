@@ -449,7 +449,7 @@ impl CampaignSummary {
         }
         writeln!(out, "\n  distinct failures, shrunk, severest first")?;
         let shows_specification =
-            self.subject.specification.parse() != Ok(Specification::NoContact);
+            self.subject.specification.parse() != Ok(Specification::NoCollision);
         for counterexample in &self.counterexamples {
             counterexample.write(out, shows_specification)?;
         }

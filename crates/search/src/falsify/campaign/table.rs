@@ -4,7 +4,7 @@
 //! A part has 65 536 rows, the last part the rest, in the order of evaluation: first the requested method, then the
 //! reference searches. Columns, in this order: `method`; `evaluation` (from 1, for each method); one column for each
 //! coordinate in the unit of its parameter (a class or driver by its name); `ln_likelihood`; `robustness`; and, empty
-//! without a collision, `contact_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`,
+//! without a collision, `collision_time_s`, `front_vehicle`, `rear_vehicle`, `impact_speed_mps`, `ego_braking`,
 //! `rear_class`. Numbers read back exactly.
 
 use std::io::Read;
@@ -17,7 +17,7 @@ use flate2::write::GzEncoder;
 use super::resolved_config::ResolvedConfig;
 use super::{CampaignError, EvaluatedPoint};
 use crate::falsify::Method;
-use crumple_measure::{BrakingLevel, FirstContact, RunVerdict};
+use crumple_measure::{BrakingLevel, FirstCollision, RunVerdict};
 use crumple_sim::scenario::VehicleClass;
 use crumple_spaces::{KEY_COLUMNS, RESULT_COLUMNS, ScenarioSpace, SpaceParameter};
 use crumple_store::run_folder::{FolderTransaction, RunFolder};
@@ -91,17 +91,17 @@ impl EvaluationTable {
             }
             table.write_field(format_number(row.ln_likelihood))?;
             table.write_field(format_number(row.verdict.robustness))?;
-            let contact = row.verdict.contact.as_ref().map(|contact| {
+            let collision = row.verdict.collision.as_ref().map(|collision| {
                 [
-                    format_number(contact.time_s),
-                    contact.front_vehicle.to_string(),
-                    contact.rear_vehicle.to_string(),
-                    format_number(contact.impact_speed_mps),
-                    contact.ego_braking.name().to_owned(),
-                    contact.rear_class.name().to_owned(),
+                    format_number(collision.time_s),
+                    collision.front_vehicle.to_string(),
+                    collision.rear_vehicle.to_string(),
+                    format_number(collision.impact_speed_mps),
+                    collision.ego_braking.name().to_owned(),
+                    collision.rear_class.name().to_owned(),
                 ]
             });
-            table.write_record(contact.unwrap_or_default())?;
+            table.write_record(collision.unwrap_or_default())?;
         }
         let compressed = table.into_inner().map_err(|error| error.into_error())?;
         Ok(compressed.finish()?)
@@ -113,6 +113,14 @@ fn columns(space: &ScenarioSpace) -> Vec<String> {
     columns.extend(space.coordinate_names());
     columns.extend(RESULT_COLUMNS.map(str::to_owned));
     columns
+}
+
+/// Returns the present name of a column, for logs of releases up to 0.3.0.
+fn present_name(column: &str) -> &str {
+    match column {
+        "contact_time_s" => "collision_time_s",
+        present => present,
+    }
 }
 
 /// Formats a number so that it reads back exactly, with an exponent if decimals would be long.
@@ -143,7 +151,8 @@ pub(super) fn decode_part(
     let headers = table
         .headers()
         .map_err(|error| damaged(&error.to_string()))?;
-    if headers != columns {
+    let has_columns = headers.iter().map(present_name).eq(&columns);
+    if !has_columns {
         return Err(damaged(
             "the columns differ from the parameters of the campaign's space",
         ));
@@ -178,9 +187,9 @@ fn parse_row(
         .collect::<Option<Vec<f64>>>()?;
     let ln_likelihood = fields.next()?.parse().ok()?;
     let robustness = fields.next()?.parse().ok()?;
-    let contact = match <[&str; 6]>::try_from(fields.collect::<Vec<_>>()).ok()? {
+    let collision = match <[&str; 6]>::try_from(fields.collect::<Vec<_>>()).ok()? {
         ["", "", "", "", "", ""] => None,
-        fields => Some(parse_contact(fields)?),
+        fields => Some(parse_collision(fields)?),
     };
     let point = config.space.point(&values);
     let evaluated = EvaluatedPoint {
@@ -191,7 +200,7 @@ fn parse_row(
         ln_likelihood,
         harm: 0.0,
         verdict: RunVerdict {
-            contact,
+            collision,
             ..RunVerdict::new(robustness)
         },
     };
@@ -199,8 +208,10 @@ fn parse_row(
 }
 
 /// Parses time, vehicles, impact speed, braking of the ego vehicle and class of the rear vehicle.
-fn parse_contact([time, front, rear, impact, braking, class]: [&str; 6]) -> Option<FirstContact> {
-    Some(FirstContact {
+fn parse_collision(
+    [time, front, rear, impact, braking, class]: [&str; 6],
+) -> Option<FirstCollision> {
+    Some(FirstCollision {
         time_s: time.parse().ok()?,
         front_vehicle: front.parse().ok()?,
         rear_vehicle: rear.parse().ok()?,

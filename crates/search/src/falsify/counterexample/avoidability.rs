@@ -57,22 +57,22 @@ pub struct AvoidabilityAnalysis {
 }
 
 impl AvoidabilityAnalysis {
-    /// Analyses a failure if the specification is [`Specification::NoContact`] and the verdict is a collision.
+    /// Analyses a failure if the specification is [`Specification::NoCollision`] and the verdict is a collision.
     #[must_use]
     pub fn classify(
         specification: &Specification,
         verdict: &RunVerdict,
         scenario: &Scenario,
     ) -> Self {
-        match (specification, verdict.contact) {
-            (Specification::NoContact, Some(_)) => Self::classify_contact(scenario),
+        match (specification, verdict.collision) {
+            (Specification::NoCollision, Some(_)) => Self::classify_collision(scenario),
             _ => Self::default(),
         }
     }
 
     /// Analyses a scenario that ends in a collision.
     #[must_use]
-    pub fn classify_contact(scenario: &Scenario) -> Self {
+    pub fn classify_collision(scenario: &Scenario) -> Self {
         let options = AvoidOptions {
             effort: SearchEffort::Decide,
             ..AvoidOptions::default()
@@ -103,7 +103,7 @@ impl AvoidabilityAnalysis {
 }
 
 impl Avoidability {
-    /// Returns the avoidability if the specification is [`Specification::NoContact`] and the verdict is a collision.
+    /// Returns the avoidability if the specification is [`Specification::NoCollision`] and the verdict is a collision.
     #[must_use]
     pub fn classify(
         specification: &Specification,
@@ -115,8 +115,8 @@ impl Avoidability {
 
     /// Returns the avoidability of a scenario that ends in a collision.
     #[must_use]
-    pub fn classify_contact(scenario: &Scenario) -> Self {
-        AvoidabilityAnalysis::classify_contact(scenario).avoidability
+    pub fn classify_collision(scenario: &Scenario) -> Self {
+        AvoidabilityAnalysis::classify_collision(scenario).avoidability
     }
 
     /// Returns the class.

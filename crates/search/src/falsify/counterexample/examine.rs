@@ -15,7 +15,7 @@ use crate::falsify::campaign::{
 };
 use crumple_measure::{RunVerdict, SpecificationError, harm, max_delta_v_mps};
 use crumple_sim::engine::{
-    AfterContact, FailedController, RecordingLevel, Run, SimulationResult, simulate,
+    AfterCollision, FailedController, RecordingLevel, Run, SimulationResult, simulate,
 };
 use crumple_sim::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 
@@ -132,7 +132,7 @@ impl<'a> Examiner<'a> {
         let aftermath = self.simulate_aftermath(&scenario)?;
         let failed = aftermath.outcome.failed_controller();
         let is_reproduced = self.kind(&verdict) == Some(kind)
-            && verdict.failure.is_some() == (verdict.contact.is_none() && failed.is_some());
+            && verdict.failure.is_some() == (verdict.collision.is_none() && failed.is_some());
         // With an external controller, drop a failure that the file alone does not reproduce.
         if !is_reproduced && self.has_external_controller() {
             return Ok(None);
@@ -215,7 +215,7 @@ impl<'a> Examiner<'a> {
             .campaign
             .evaluator()
             .run_options(scenario, 1)
-            .with_after_contact(AfterContact::Continue);
+            .with_after_collision(AfterCollision::Continue);
         let run = Run::new(scenario, options)?;
         Ok(simulate(&run, RecordingLevel::Summary))
     }

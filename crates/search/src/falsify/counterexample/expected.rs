@@ -52,7 +52,8 @@ pub struct ExpectedVerdict {
     pub robustness: f64,
     /// Time of the first collision, in seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub contact_time_s: Option<f64>,
+    #[serde(alias = "contact_time_s")]
+    pub collision_time_s: Option<f64>,
     /// Index of the vehicle that is hit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub front_vehicle: Option<u32>,
@@ -85,8 +86,8 @@ pub struct ReplayResult {
     /// Verdict at a tenth of the step.
     pub finer: RunVerdict,
     /// True if the replay agrees with the record. The nominal verdict must have the recorded violation, vehicles and
-    /// contact time (within a millisecond). The finer verdict must have the recorded violation and vehicles, or differ
-    /// in them if the record is `dt_fragile`.
+    /// time of the collision (within a millisecond). The finer verdict must have the recorded violation and vehicles,
+    /// or differ in them if the record is `dt_fragile`.
     pub as_recorded: bool,
 }
 
@@ -231,16 +232,16 @@ impl ExpectedVerdict {
     /// Returns true if a verdict has the recorded violation and vehicles.
     fn agrees_in_failure(&self, verdict: &RunVerdict) -> bool {
         let vehicles = verdict
-            .contact
-            .map(|contact| (contact.front_vehicle, contact.rear_vehicle));
+            .collision
+            .map(|collision| (collision.front_vehicle, collision.rear_vehicle));
         (verdict.robustness < 0.0) == self.violated
             && vehicles == self.front_vehicle.zip(self.rear_vehicle)
     }
 
     /// Returns true if the collision of a verdict is within a millisecond of the recorded one.
     fn agrees_in_time(&self, verdict: &RunVerdict) -> bool {
-        match (verdict.contact, self.contact_time_s) {
-            (Some(contact), Some(time_s)) => (contact.time_s - time_s).abs() < 1e-3,
+        match (verdict.collision, self.collision_time_s) {
+            (Some(collision), Some(time_s)) => (collision.time_s - time_s).abs() < 1e-3,
             (None, None) => true,
             _ => false,
         }
@@ -322,9 +323,9 @@ impl ExpectedVerdict {
         renewed = Self {
             violated,
             robustness: verdict.robustness,
-            contact_time_s: verdict.contact.map(|contact| contact.time_s),
-            front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
-            rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+            collision_time_s: verdict.collision.map(|collision| collision.time_s),
+            front_vehicle: verdict.collision.map(|collision| collision.front_vehicle),
+            rear_vehicle: verdict.collision.map(|collision| collision.rear_vehicle),
             avoidable: class.class(),
             best_min_gap_m: class.best_min_gap_m(),
             undecided_because: class.undecided_because().map(str::to_owned),

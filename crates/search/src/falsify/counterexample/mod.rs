@@ -55,7 +55,8 @@ pub struct Counterexample {
     #[serde(with = "crumple_core::non_finite")]
     pub robustness: f64,
     /// Time of the first collision, in seconds; `None` if a formula is violated without a collision.
-    pub contact_time_s: Option<f64>,
+    #[serde(alias = "contact_time_s")]
+    pub collision_time_s: Option<f64>,
     /// Index of the vehicle that is hit.
     pub front_vehicle: Option<u32>,
     /// Index of the vehicle that hits it.
@@ -191,7 +192,7 @@ impl Counterexample {
         if let Some(reason) = &self.reason {
             return reason.clone();
         }
-        match self.impact_speed_mps.zip(self.contact_time_s) {
+        match self.impact_speed_mps.zip(self.collision_time_s) {
             Some((speed_mps, time_s)) if of_formula => format!(
                 "robustness {:.3}; first collision {speed_mps:.1} m/s at {time_s:.1} s",
                 self.robustness

@@ -90,7 +90,7 @@ impl Recorder<'_> {
     fn severity(&self, failure: &ExaminedFailure) -> Severity {
         let verdict = &failure.verdict;
         let goes_by_violation =
-            self.config.specification != Specification::NoContact || verdict.failure.is_some();
+            self.config.specification != Specification::NoCollision || verdict.failure.is_some();
         Severity {
             violation: if goes_by_violation {
                 -verdict.robustness
@@ -98,8 +98,8 @@ impl Recorder<'_> {
                 0.0
             },
             impact_speed_mps: verdict
-                .contact
-                .map_or(0.0, |contact| contact.impact_speed_mps),
+                .collision
+                .map_or(0.0, |collision| collision.impact_speed_mps),
             max_delta_v_mps: failure.max_delta_v_mps.unwrap_or(0.0),
             vehicles_involved: failure.vehicles_involved,
         }
@@ -146,8 +146,8 @@ impl Recorder<'_> {
         changed: Vec<ChangedParameter>,
     ) -> Counterexample {
         let point = self.config.space.point(&failure.values);
-        let contact = failure.verdict.contact;
-        let original_contact = failure.original_verdict.contact;
+        let collision = failure.verdict.collision;
+        let original_collision = failure.original_verdict.collision;
         Counterexample {
             escape_file: failure.analysis.escape.as_ref().map(|_| text.escape_path()),
             file: in_folder(&text.file),
@@ -155,11 +155,12 @@ impl Recorder<'_> {
             kind: text.kind,
             reason: failure.reason.clone(),
             robustness: failure.verdict.robustness,
-            contact_time_s: contact.map(|contact| contact.time_s),
-            front_vehicle: contact.map(|contact| contact.front_vehicle),
-            rear_vehicle: contact.map(|contact| contact.rear_vehicle),
-            impact_speed_mps: contact.map(|contact| contact.impact_speed_mps),
-            original_impact_speed_mps: original_contact.map(|contact| contact.impact_speed_mps),
+            collision_time_s: collision.map(|collision| collision.time_s),
+            front_vehicle: collision.map(|collision| collision.front_vehicle),
+            rear_vehicle: collision.map(|collision| collision.rear_vehicle),
+            impact_speed_mps: collision.map(|collision| collision.impact_speed_mps),
+            original_impact_speed_mps: original_collision
+                .map(|collision| collision.impact_speed_mps),
             max_delta_v_mps: failure.max_delta_v_mps,
             harm: failure.harm,
             vehicles_involved: failure.vehicles_involved,
@@ -240,7 +241,7 @@ impl CounterexampleText {
         changed: &[ChangedParameter],
     ) -> Self {
         let slug = match failure.kind {
-            FailureKind::Contact {
+            FailureKind::Collision {
                 front_vehicle,
                 rear_vehicle,
                 ..
@@ -319,7 +320,7 @@ fn describe_finding(config: &ResolvedConfig, failure: &ExaminedFailure, kind: &s
         None => format!("`{}`", record.subject.controller),
     };
     let formula = match &config.specification {
-        Specification::NoContact => String::new(),
+        Specification::NoCollision => String::new(),
         Specification::Formula(formula) => format!(" The formula is `{formula}`."),
         Specification::DrivingRule(rule) => format!(" The rule is `{rule}`."),
     };
@@ -380,9 +381,9 @@ fn expected_verdict(
         specification: config.specification.to_string(),
         violated: verdict.robustness < 0.0,
         robustness: verdict.robustness,
-        contact_time_s: verdict.contact.map(|contact| contact.time_s),
-        front_vehicle: verdict.contact.map(|contact| contact.front_vehicle),
-        rear_vehicle: verdict.contact.map(|contact| contact.rear_vehicle),
+        collision_time_s: verdict.collision.map(|collision| collision.time_s),
+        front_vehicle: verdict.collision.map(|collision| collision.front_vehicle),
+        rear_vehicle: verdict.collision.map(|collision| collision.rear_vehicle),
         dt_fragile: failure.dt_fragile,
         avoidable: class.class(),
         best_min_gap_m: class.best_min_gap_m(),

@@ -6,7 +6,7 @@ use std::cmp::Ordering;
 /// largest change of speed of a vehicle; number of vehicles involved.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Severity {
-    /// Negative robustness, for a formula or a controller that failed; 0 for a contact.
+    /// Negative robustness, for a formula or a controller that failed; 0 for a collision.
     pub(super) violation: f64,
     pub(super) impact_speed_mps: f64,
     pub(super) max_delta_v_mps: f64,
@@ -29,7 +29,7 @@ mod tests {
 
     #[test]
     fn each_measure_decides_if_the_earlier_ones_are_equal() {
-        let contact = |impact_speed_mps, max_delta_v_mps, vehicles_involved| Severity {
+        let collision = |impact_speed_mps, max_delta_v_mps, vehicles_involved| Severity {
             violation: 0.0,
             impact_speed_mps,
             max_delta_v_mps,
@@ -37,15 +37,15 @@ mod tests {
         };
         let formula = |violation| Severity {
             violation,
-            ..contact(1.0, 1.0, 2)
+            ..collision(1.0, 1.0, 2)
         };
         let mildest_first = [
-            contact(9.2, 14.0, 4),
-            contact(9.8, 3.0, 2),
-            contact(10.1, 4.9, 2),
-            contact(10.1, 5.1, 2),
-            contact(10.1, 5.1, 3),
-            contact(10.6, 0.0, 2),
+            collision(9.2, 14.0, 4),
+            collision(9.8, 3.0, 2),
+            collision(10.1, 4.9, 2),
+            collision(10.1, 5.1, 2),
+            collision(10.1, 5.1, 3),
+            collision(10.6, 0.0, 2),
         ];
         assert!(mildest_first.is_sorted_by(|a, b| a.compare(b) == Ordering::Less));
         assert_eq!(formula(0.2).compare(&formula(0.1)), Ordering::Greater);

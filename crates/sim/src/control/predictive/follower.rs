@@ -2,6 +2,7 @@
 
 use super::jitter::Jitter;
 use crate::control::baseline::FIRING_TTC_S;
+use crate::control::human::{BRAKE_LIGHT_MPS2, COASTING_MPS2};
 use crate::control::{AccAeb, AccAebSettings, BuiltIn, Controller, Ego};
 use crate::idm::{Idm, IdmSettings};
 use crate::observation::BANDWIDTH_RAD_PER_S;
@@ -25,8 +26,15 @@ const MODEL_DEVIATION_MPS: f64 = 0.2;
 /// Time constant of each of two lags from demanded to estimated acceleration, in seconds: reaction, and the filter.
 const LAG_S: f64 = 0.3;
 
-/// Hypotheses about the driver: nothing but an emergency brake; `acc-aeb`; `idm`.
-const HYPOTHESES: usize = 3;
+/// Reaction time of a human after brake lights, in seconds.
+const HUMAN_REACTION_S: f64 = 1.25;
+/// Braking level of a human, in m/s².
+const HUMAN_BRAKE_MPS2: f64 = 5.0;
+/// Limits of the time gap that a human keeps, in seconds.
+const HUMAN_TIME_GAPS_S: [f64; 2] = [0.3, 1.6];
+
+/// Hypotheses about the driver: nothing but an emergency brake; `acc-aeb`; `idm`; `human`.
+const HYPOTHESES: usize = 4;
 
 /// State of the follower and likelihoods of the hypotheses about its driver.
 ///
@@ -43,6 +51,10 @@ pub(super) struct Follower {
     prior: [f64; HYPOTHESES],
     acc: AccAeb,
     idm: Idm,
+    /// The model of a human, who keeps the first time gap; none before the first observation.
+    human: Option<Idm>,
+    /// Time since the brake lights of the ego vehicle went on, in seconds; 0 while they are off.
+    warned_for_s: f64,
     jitter: Jitter,
     /// Predicted accelerations after one and two lags, in m/s².
     predicted_mps2: [[f64; 2]; HYPOTHESES],
@@ -57,12 +69,14 @@ pub(super) struct Follower {
 
 impl Follower {
     pub(super) fn new(unaware_share: f64, ego: &Ego) -> Self {
-        let aware = 0.5 * (1.0 - unaware_share);
+        let aware = (1.0 - unaware_share) / 3.0;
         Self {
             step_s: ego.step_s,
-            prior: [unaware_share, aware, aware],
+            prior: [unaware_share, aware, aware, aware],
             acc: AccAeb::start(&AccAebSettings::default(), ego, 0),
             idm: Idm::from(&IdmSettings::default()),
+            human: None,
+            warned_for_s: 0.0,
             jitter: Jitter::new(ego.step_s),
             predicted_mps2: [[0.0; 2]; HYPOTHESES],
             predicted_mps: [0.0; HYPOTHESES],
@@ -81,6 +95,11 @@ impl Follower {
         observation: &Observation,
         expected_mps2: f64,
     ) -> bool {
+        self.warned_for_s = if observation.acceleration_mps2 < -BRAKE_LIGHT_MPS2 {
+            self.warned_for_s + self.step_s
+        } else {
+            0.0
+        };
         let closing_mps = behind.speed_mps - observation.speed_mps;
         let brakes = behind.acceleration_mps2 < -FIRED_BRAKE_MPS2;
         match self.fired_for_s {
@@ -113,6 +132,11 @@ impl Follower {
         self.fired_for_s.unwrap_or(0.0)
     }
 
+    /// Returns the time since the brake lights of the ego vehicle went on, in seconds; 0 while they are off.
+    pub(super) fn warned_for_s(&self) -> f64 {
+        self.warned_for_s
+    }
+
     /// Returns the deceleration of the emergency brake, in m/s², positive: the expected one at first, the observed one
     /// from [`SETTLING_S`] after the firing.
     pub(super) fn brake_mps2(&self) -> f64 {
@@ -129,14 +153,40 @@ impl Follower {
         for (weight, log_likelihood) in weights.iter_mut().zip(self.log_likelihoods) {
             *weight *= libm::exp(log_likelihood - highest);
         }
-        weights[0] / (weights[0] + weights[1] + weights[2]).max(f64::MIN_POSITIVE)
+        weights[0] / weights.iter().sum::<f64>().max(f64::MIN_POSITIVE)
     }
 
+    /// Updates the likelihoods of the hypotheses.
+    fn weigh(&mut self, behind: &Neighbour, observation: &Observation) {
+        let demands_mps2 = self.demands_mps2(behind, observation);
+        self.jitter.observe(behind.acceleration_mps2, 0.0);
+        let bandwidth = BANDWIDTH_RAD_PER_S;
+        let speed_variance = self.jitter.acceleration_variance() / (bandwidth * bandwidth);
+        let variance = MODEL_DEVIATION_MPS * MODEL_DEVIATION_MPS + speed_variance;
+        let [lag, forgotten, counted] =
+            [LAG_S, MEMORY_S, CORRELATION_S].map(|time_s| (self.step_s / time_s).min(1.0));
+        let average_mps = self.average_mps.get_or_insert(behind.speed_mps);
+        *average_mps += forgotten * (behind.speed_mps - *average_mps);
+        let change_mps = behind.speed_mps - *average_mps;
+        for (index, demand_mps2) in demands_mps2.into_iter().enumerate() {
+            let [once_mps2, twice_mps2] = &mut self.predicted_mps2[index];
+            *once_mps2 += lag * (demand_mps2 - *once_mps2);
+            *twice_mps2 += lag * (*once_mps2 - *twice_mps2);
+            let predicted_mps = &mut self.predicted_mps[index];
+            *predicted_mps += self.step_s * *twice_mps2 - forgotten * *predicted_mps;
+            let error_mps = change_mps - *predicted_mps;
+            let log_likelihood = &mut self.log_likelihoods[index];
+            *log_likelihood -=
+                forgotten * *log_likelihood + counted * error_mps * error_mps / (2.0 * variance);
+        }
+    }
+
+    /// Returns the acceleration that each hypothesis demands, in m/s².
     #[expect(
         clippy::manual_clamp,
         reason = "a demand that is no number must not remain one"
     )]
-    fn weigh(&mut self, behind: &Neighbour, observation: &Observation) {
+    fn demands_mps2(&mut self, behind: &Neighbour, observation: &Observation) -> [f64; HYPOTHESES] {
         let ego = Neighbour {
             gap_m: behind.gap_m,
             speed_mps: observation.speed_mps,
@@ -150,26 +200,29 @@ impl Follower {
         };
         let acc_mps2 = self.acc.decide(&view).unwrap_or(0.0);
         let idm_mps2 = self.idm.desired_acceleration_mps2(&view);
-        self.jitter.observe(behind.acceleration_mps2, 0.0);
-        let bandwidth = BANDWIDTH_RAD_PER_S;
-        let speed_variance = self.jitter.acceleration_variance() / (bandwidth * bandwidth);
-        let variance = MODEL_DEVIATION_MPS * MODEL_DEVIATION_MPS + speed_variance;
-        let [lag, forgotten, counted] =
-            [LAG_S, MEMORY_S, CORRELATION_S].map(|time_s| (self.step_s / time_s).min(1.0));
-        let average_mps = self.average_mps.get_or_insert(behind.speed_mps);
-        *average_mps += forgotten * (behind.speed_mps - *average_mps);
-        let change_mps = behind.speed_mps - *average_mps;
-        let demanded_mps2 = [0.0, acc_mps2, idm_mps2].map(|demand| demand.max(-7.5).min(3.0));
-        for (index, demand_mps2) in demanded_mps2.into_iter().enumerate() {
-            let [once_mps2, twice_mps2] = &mut self.predicted_mps2[index];
-            *once_mps2 += lag * (demand_mps2 - *once_mps2);
-            *twice_mps2 += lag * (*once_mps2 - *twice_mps2);
-            let predicted_mps = &mut self.predicted_mps[index];
-            *predicted_mps += self.step_s * *twice_mps2 - forgotten * *predicted_mps;
-            let error_mps = change_mps - *predicted_mps;
-            let log_likelihood = &mut self.log_likelihoods[index];
-            *log_likelihood -=
-                forgotten * *log_likelihood + counted * error_mps * error_mps / (2.0 * variance);
-        }
+        let human_mps2 = self.human_mps2(&view);
+        [0.0, acc_mps2, idm_mps2, human_mps2].map(|demand_mps2| demand_mps2.max(-7.5).min(3.0))
+    }
+
+    /// Returns the acceleration of a human, who does not brake before the end of the reaction time.
+    fn human_mps2(&mut self, view: &Observation) -> f64 {
+        let model = *self.human.get_or_insert_with(|| {
+            let usual = IdmSettings::default();
+            let [shortest_s, longest_s] = HUMAN_TIME_GAPS_S;
+            let first_s = view.ahead.map_or(longest_s, |ahead| {
+                (ahead.gap_m - usual.standstill_gap_m) / view.speed_mps.max(1.0)
+            });
+            Idm::from(&IdmSettings {
+                time_headway_s: first_s.min(longest_s).max(shortest_s),
+                desired_speed_mps: usual.desired_speed_mps.max(view.speed_mps),
+                ..usual
+            })
+        });
+        let strongest_mps2 = if self.warned_for_s > HUMAN_REACTION_S {
+            HUMAN_BRAKE_MPS2
+        } else {
+            COASTING_MPS2
+        };
+        model.desired_acceleration_mps2(view).max(-strongest_mps2)
     }
 }

@@ -66,6 +66,25 @@ fn recognises_the_driver_behind() {
     }
 }
 
+/// A leader that has stopped braking still matters while the ego vehicle is faster.
+#[test]
+fn braking_of_the_leader_is_over_once_the_ego_vehicle_is_as_slow() {
+    let mut leader = Leader::new([1.4, 4.2], EGO.step_s);
+    let mut observe = |speed_mps, acceleration_mps2, own_mps| {
+        let ahead = Neighbour {
+            gap_m: 20.0,
+            speed_mps,
+            acceleration_mps2,
+        };
+        (0..200).for_each(|_| leader.observe(&ahead, own_mps));
+        leader.severity()
+    };
+    assert_eq!(observe(20.0, 0.0, 20.0), 0.0);
+    assert!(observe(12.0, -3.0, 16.0) > 0.5);
+    assert!(observe(10.0, 0.0, 14.0) > 0.5);
+    assert_eq!(observe(10.0, 0.0, 10.2), 0.0);
+}
+
 #[test]
 fn learns_the_friction_from_braking_that_falls_short() {
     let mut friction = Friction::new(&EGO);

@@ -18,7 +18,7 @@
 //! - *Delay*: the test uses the state after all pending commands, with a leader that brakes at its limit.
 //! - *Lag*: the kernel uses v + τ' (r + b) in place of v, with the response r of the actuator and the effective lag τ'
 //!   ([`ShieldParams::lag_s`]).
-//! - *Noise* on accelerations: six standard deviations (exceeded once in 10⁹ steps) reduce the own brake limit and
+//! - *Noise* on accelerations: six standard deviations (exceeded twice in 10⁹ samples) reduce the own brake limit and
 //!   raise the leader's.
 //!
 //! No guarantee holds for a vehicle that its follower pushes, nor behind a leader that an impact stops.
@@ -37,6 +37,8 @@
 //! - Assumed: an estimator keeps its stated bounds, which are six standard deviations if its noise is unbounded.
 
 mod admission;
+mod command_memory;
+mod firing;
 mod kernel;
 mod params;
 mod real;
@@ -45,15 +47,15 @@ mod settings;
 mod source;
 
 pub use admission::ShieldState;
+pub(super) use command_memory::CommandMemory;
+pub use firing::{FiringRule, FiringSpeeds, MotionSample, min_quadratic};
 pub use kernel::{ViabilityKernel, distance_and_speed_after, max_closing_m};
 pub use params::{ErrorBounds, RearVehicleParams, ShieldParams};
 pub use real::Real;
 pub use rounding::MIN_MARGIN_M;
 pub(crate) use rounding::{MAX_MARGIN_M, MotionBounds};
-pub use settings::ShieldSettings;
+pub use settings::{ShieldKind, ShieldSettings};
 pub use source::{ShieldRefusal, ShieldedSource};
-
-use std::collections::VecDeque;
 
 use super::{Controller, ControllerFailure, clamp_command};
 use crate::observation::Observation;
@@ -71,14 +73,37 @@ pub struct Override {
     pub rear_conflict: bool,
 }
 
+impl Override {
+    /// Adds a step to the last override, or a new override if a step between them had none.
+    pub(super) fn record(
+        overrides: &mut Vec<Self>,
+        step: usize,
+        outside_kernel: bool,
+        rear_conflict: bool,
+    ) {
+        match overrides
+            .last_mut()
+            .filter(|last| last.last_step + 1 == step)
+        {
+            Some(last) => {
+                last.last_step = step;
+                last.outside_kernel |= outside_kernel;
+                last.rear_conflict |= rear_conflict;
+            }
+            None => overrides.push(Self {
+                first_step: step,
+                last_step: step,
+                outside_kernel,
+                rear_conflict,
+            }),
+        }
+    }
+}
+
 struct ShieldedController {
     controller: Box<dyn Controller>,
     params: ShieldParams,
-    /// Commands that the actuator has not received yet, oldest first.
-    pending_mps2: VecDeque<f64>,
-    /// Response of the actuator to the commands so far, and to those before this step, in m/s².
-    response_mps2: f64,
-    response_before_mps2: f64,
+    commands: CommandMemory,
     step: usize,
     overrides: Vec<Override>,
 }
@@ -87,10 +112,12 @@ impl ShieldedController {
     fn new(controller: Box<dyn Controller>, params: ShieldParams) -> Self {
         Self {
             controller,
-            pending_mps2: VecDeque::from(vec![0.0; params.delay_steps]),
+            commands: CommandMemory::new(
+                [params.brake_mps2, params.accel_mps2],
+                params.delay_steps,
+                params.response_fraction,
+            ),
             params,
-            response_mps2: 0.0,
-            response_before_mps2: 0.0,
             step: 0,
             overrides: Vec::new(),
         }
@@ -108,39 +135,24 @@ impl ShieldedController {
             gap_m: ahead.gap_m - gap_m,
             speed_mps: observation.speed_mps + speed_mps,
             ahead_mps: (ahead.speed_mps - ahead_speed_mps).max(0.0),
-            response_mps2: self.response_mps2,
+            response_mps2: self.commands.response_mps2(),
         };
-        for &command_mps2 in &self.pending_mps2 {
+        for command_mps2 in self.commands.pending_mps2() {
             state = self.params.after(state, command_mps2);
         }
         Some(state)
     }
-
-    fn record_override(&mut self, outside_kernel: bool, rear_conflict: bool) {
-        let step = self.step;
-        match self
-            .overrides
-            .last_mut()
-            .filter(|last| last.last_step + 1 == step)
-        {
-            Some(last) => {
-                last.last_step = step;
-                last.outside_kernel |= outside_kernel;
-                last.rear_conflict |= rear_conflict;
-            }
-            None => {
-                self.overrides.push(Override {
-                    first_step: step,
-                    last_step: step,
-                    outside_kernel,
-                    rear_conflict,
-                });
-            }
-        }
-    }
 }
 
 impl Controller for ShieldedController {
+    fn perceive(&mut self, truth: &Observation) {
+        self.controller.perceive(truth);
+    }
+
+    fn is_warning(&self) -> bool {
+        self.controller.is_warning()
+    }
+
     fn overrides(&self) -> &[Override] {
         &self.overrides
     }
@@ -159,33 +171,25 @@ impl Controller for ShieldedController {
             let outside_kernel = self.params.spare_m(state) < 0.5 * self.params.margin_m;
             // Full braking by the controller is no override, but is recorded outside the kernel.
             if wanted_mps2 > command_mps2 || outside_kernel {
-                self.record_override(outside_kernel, self.params.endangers_rear(observation));
+                Override::record(
+                    &mut self.overrides,
+                    self.step,
+                    outside_kernel,
+                    self.params.endangers_rear(observation),
+                );
             }
             if wanted_mps2 > command_mps2 {
                 self.controller.record_command(command_mps2);
             }
         }
-        self.pending_mps2.push_back(command_mps2);
-        let due_mps2 = self.pending_mps2.pop_front().unwrap_or(command_mps2);
-        self.response_before_mps2 = self.response_mps2;
-        self.response_mps2 = self.params.response_mps2(self.response_mps2, due_mps2);
+        self.commands.advance(command_mps2);
         self.step += 1;
         Ok(command_mps2)
     }
 
     fn record_command(&mut self, command_mps2: f64) {
         self.controller.record_command(command_mps2);
-        let command_mps2 =
-            clamp_command(command_mps2, self.params.brake_mps2, self.params.accel_mps2);
-        match self.pending_mps2.back_mut() {
-            Some(last_mps2) => *last_mps2 = command_mps2,
-            // Without delay the actuator has received the command already.
-            None => {
-                self.response_mps2 = self
-                    .params
-                    .response_mps2(self.response_before_mps2, command_mps2)
-            }
-        }
+        self.commands.replace_last(command_mps2);
     }
 }
 

@@ -1,7 +1,8 @@
 //! Settings of a shield: parsing and printing as on the command line.
 
 use super::ErrorBounds;
-use crate::settings::{InvalidSetting, parse_settings};
+use crate::control::TwoSidedSettings;
+use crate::settings::{InvalidSetting, ShieldSetting};
 
 /// Settings of a shield that the user may choose.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -13,34 +14,35 @@ pub struct ShieldSettings {
     pub errors: Option<ErrorBounds>,
 }
 
-/// Name and allowed range of a setting, and its effect.
-struct ShieldSetting {
-    name: &'static str,
-    range: [f64; 2],
-    set: fn(&mut ShieldSettings, f64),
-}
-
 /// All settings. The limits of `ahead` are those of `max_brake_mps2` in scenarios.
-const SETTINGS: [ShieldSetting; 4] = [
+const SETTINGS: [ShieldSetting<ShieldSettings>; 4] = [
     ShieldSetting {
         name: "ahead",
         range: [0.1, 30.0],
+        is_switch: false,
         set: |settings, value| settings.ahead_brake_mps2 = Some(value),
+        get: |settings| settings.ahead_brake_mps2,
     },
     ShieldSetting {
         name: "gap-error",
         range: [0.0, 100.0],
+        is_switch: false,
         set: |settings, value| settings.errors.get_or_insert_default().gap_m = value,
+        get: |settings| settings.errors.map(|errors| errors.gap_m),
     },
     ShieldSetting {
         name: "speed-error",
         range: [0.0, 100.0],
+        is_switch: false,
         set: |settings, value| settings.errors.get_or_insert_default().speed_mps = value,
+        get: |settings| settings.errors.map(|errors| errors.speed_mps),
     },
     ShieldSetting {
         name: "ahead-speed-error",
         range: [0.0, 100.0],
+        is_switch: false,
         set: |settings, value| settings.errors.get_or_insert_default().ahead_speed_mps = value,
+        get: |settings| settings.errors.map(|errors| errors.ahead_speed_mps),
     },
 ];
 
@@ -70,43 +72,64 @@ impl ShieldSettings {
     /// # Errors
     /// [`InvalidSetting`] for an unknown or repeated setting, or a value outside its range.
     pub fn parse(text: &str) -> Result<Self, InvalidSetting> {
-        let mut parts = text.split(',');
-        if let Some(before) = parts.next().filter(|before| !before.is_empty()) {
-            return Err(unknown_setting(before.to_owned()));
-        }
-        let names_and_ranges = SETTINGS
-            .each_ref()
-            .map(|setting| (setting.name, setting.range));
-        let mut settings = Self::default();
-        for (index, value) in parse_settings(parts, "shield", &names_and_ranges, unknown_setting)? {
-            if let Some(ShieldSetting { set, .. }) = SETTINGS.get(index) {
-                set(&mut settings, value);
-            }
-        }
-        Ok(settings)
+        ShieldSetting::parse_all(&SETTINGS, text, "shield", unknown_setting)
     }
 
     /// Returns the text that [`Self::parse`] parses to this: the settings, each after a comma.
     #[must_use]
     pub fn to_arg(&self) -> String {
-        let errors = self.errors.map(|errors| {
-            let ErrorBounds {
-                gap_m,
-                speed_mps,
-                ahead_speed_mps,
-            } = errors;
-            format!(
-                ",gap-error={gap_m},speed-error={speed_mps},ahead-speed-error={ahead_speed_mps}"
-            )
-        });
-        let ahead = self.ahead_brake_mps2.map(|limit| format!(",ahead={limit}"));
-        ahead.into_iter().chain(errors).collect()
+        ShieldSetting::print_all(&SETTINGS, self)
     }
 
     /// Returns the words before the name of a controller behind this shield: `shield,ahead=7:`.
     #[must_use]
     pub fn name_prefix(&self) -> String {
         format!("shield{}:", self.to_arg())
+    }
+}
+
+/// A kind of shield with its settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ShieldKind {
+    /// `shield`: protects from a collision with the leader.
+    Ahead(ShieldSettings),
+    /// `shield2`: protects from a collision with the leader, and from one with a follower of a class.
+    BothSides(TwoSidedSettings),
+}
+
+impl ShieldKind {
+    /// Parses the text between `shield` and the colon: settings, for `shield2` after a 2.
+    ///
+    /// # Errors
+    /// [`InvalidSetting`] for an unknown or repeated setting, or a value outside its range.
+    pub fn parse(text: &str) -> Result<Self, InvalidSetting> {
+        match text.strip_prefix('2') {
+            Some(rest) if rest.is_empty() || rest.starts_with(',') => {
+                TwoSidedSettings::parse(rest).map(Self::BothSides)
+            }
+            _ => ShieldSettings::parse(text).map(Self::Ahead),
+        }
+    }
+
+    /// Returns the words before the name of a controller behind this shield: `shield,ahead=7:` or `shield2:`.
+    #[must_use]
+    pub fn name_prefix(&self) -> String {
+        match self {
+            Self::Ahead(settings) => settings.name_prefix(),
+            Self::BothSides(settings) => settings.name_prefix(),
+        }
+    }
+}
+
+impl From<ShieldSettings> for ShieldKind {
+    fn from(settings: ShieldSettings) -> Self {
+        Self::Ahead(settings)
+    }
+}
+
+impl From<TwoSidedSettings> for ShieldKind {
+    fn from(settings: TwoSidedSettings) -> Self {
+        Self::BothSides(settings)
     }
 }
 

@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
-use super::{ShieldSettings, ShieldedController};
+use super::{ShieldKind, ShieldedController};
+use crate::control::two_sided::TwoSidedController;
 use crate::control::{
-    Controller, ControllerFailure, ControllerSource, Ego, IntoSource, RequiredNeighbours,
-    SourceFile, VehicleInRun,
+    Controller, ControllerFailure, ControllerSource, Ego, IntoSource, VehicleInRun,
 };
-use crate::policy::Policy;
 use crumple_core::digest::sha256;
 
 /// Reason why a shield gives no guarantee for a vehicle.
@@ -43,6 +42,17 @@ pub enum ShieldRefusal {
     /// Delayed, missing or false targets are no bounded errors.
     #[error("its sensors have faults, which the kernel does not cover: remove `sensors.faults`")]
     SensorFaults,
+    /// Between two steps, a follower whose brake fires so late could come too near.
+    #[error(
+        "the follower's brake fires at a time to collision of {ttc_s} s, and a two-sided shield needs at least two \
+         steps of {step_s} s"
+    )]
+    ShortTtc {
+        /// Time to collision at which the brake fires, in seconds.
+        ttc_s: f64,
+        /// Time between decisions, in seconds.
+        step_s: f64,
+    },
     /// Rounding may decrease the gap by more than the margin covers.
     #[error(
         "rounding may take up to {rounding_m} m of the gap in a run of this length at positions up to {} m, and twice \
@@ -64,8 +74,8 @@ pub enum ShieldRefusal {
 pub struct ShieldedSource {
     /// Controller that drives as long as the shield admits its commands.
     pub controller: Arc<dyn ControllerSource>,
-    /// Settings of the user.
-    pub settings: ShieldSettings,
+    /// Kind of the shield, with the settings of the user.
+    pub settings: ShieldKind,
 }
 
 impl IntoSource for ShieldedSource {
@@ -77,7 +87,14 @@ impl IntoSource for ShieldedSource {
 impl ControllerSource for ShieldedSource {
     fn identity(&self) -> Option<String> {
         let inner = self.controller.identity()?;
-        Some(sha256(format!("shield {:?} {inner}", self.settings)))
+        Some(match &self.settings {
+            ShieldKind::Ahead(settings) => sha256(format!("shield {settings:?} {inner}")),
+            ShieldKind::BothSides(settings) => sha256(format!("shield2 {settings:?} {inner}")),
+        })
+    }
+
+    fn inner(&self) -> Option<&dyn ControllerSource> {
+        Some(&*self.controller)
     }
 
     fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
@@ -86,56 +103,12 @@ impl ControllerSource for ShieldedSource {
         })
     }
 
-    fn interval_s(&self) -> Option<f64> {
-        self.controller.interval_s()
-    }
-
-    fn required_neighbours(&self) -> RequiredNeighbours {
-        self.controller.required_neighbours()
-    }
-
-    fn warnings(&self) -> Vec<String> {
-        self.controller.warnings()
-    }
-
     fn description(&self) -> String {
-        format!("with a shield: {}", self.controller.description())
-    }
-
-    fn file(&self) -> Option<&SourceFile> {
-        self.controller.file()
-    }
-
-    fn program_field(&self) -> Option<&'static str> {
-        self.controller.program_field()
-    }
-
-    fn policy(&self) -> Option<Arc<Policy>> {
-        self.controller.policy()
-    }
-
-    fn is_learned(&self) -> bool {
-        self.controller.is_learned()
-    }
-
-    fn can_fail(&self) -> bool {
-        self.controller.can_fail()
-    }
-
-    fn is_deterministic(&self) -> bool {
-        self.controller.is_deterministic()
-    }
-
-    fn try_start(&self) -> Result<(), ControllerFailure> {
-        self.controller.try_start()
-    }
-
-    fn refusal(&self) -> Option<ControllerFailure> {
-        self.controller.refusal()
-    }
-
-    fn supports_lockstep(&self, ego: &Ego) -> bool {
-        self.controller.supports_lockstep(ego)
+        let kind = match self.settings {
+            ShieldKind::Ahead(_) => "a shield",
+            ShieldKind::BothSides(_) => "a two-sided shield",
+        };
+        format!("with {kind}: {}", self.controller.description())
     }
 
     fn as_shield(&self) -> Option<&Self> {
@@ -146,24 +119,34 @@ impl ControllerSource for ShieldedSource {
         if self.controller.as_shield().is_some() {
             return Err(ShieldRefusal::Nested);
         }
-        vehicle.shield_params(&self.settings).map(drop)
+        match &self.settings {
+            ShieldKind::Ahead(settings) => vehicle.shield_params(settings).map(drop),
+            ShieldKind::BothSides(settings) => vehicle.two_sided_params(settings).map(drop),
+        }
     }
 
     fn start_in_run(
         &self,
         vehicle: &VehicleInRun<'_>,
     ) -> Result<Box<dyn Controller>, ControllerFailure> {
-        let params =
-            vehicle
-                .shield_params(&self.settings)
-                .map_err(|refusal| ControllerFailure::Died {
-                    message: refusal.to_string(),
-                })?;
         let behind_shield = VehicleInRun {
             source: &self.controller,
             ..*vehicle
         };
-        let controller = self.controller.start_in_run(&behind_shield)?;
-        Ok(Box::new(ShieldedController::new(controller, params)))
+        let failed = |refusal: ShieldRefusal| ControllerFailure::Died {
+            message: refusal.to_string(),
+        };
+        Ok(match &self.settings {
+            ShieldKind::Ahead(settings) => {
+                let params = vehicle.shield_params(settings).map_err(failed)?;
+                let controller = self.controller.start_in_run(&behind_shield)?;
+                Box::new(ShieldedController::new(controller, params))
+            }
+            ShieldKind::BothSides(settings) => {
+                let params = vehicle.two_sided_params(settings).map_err(failed)?;
+                let controller = self.controller.start_in_run(&behind_shield)?;
+                Box::new(TwoSidedController::new(controller, params))
+            }
+        })
     }
 }

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::control::tests::{EGO, command_behind, leader_observation};
-use crate::control::{BuiltInController, ControllerSource};
+use crate::control::{BuiltInController, ControllerSource, IntoSource, ShieldKind, ShieldedSource};
 use crate::observation::Neighbour;
 use proptest::prelude::*;
 
@@ -34,7 +34,7 @@ fn state(gap_m: f64, speed_mps: f64, ahead_mps: f64) -> ShieldState {
 
 /// Both are equally fast after half a second, when the gap has closed by 0.25 m, and it grows again after that.
 #[test]
-fn a_contact_within_a_step_is_prevented() {
+fn a_collision_within_a_step_is_prevented() {
     let (frame, wanted_mps2) = (slow_step_params(), -7.0);
     for (gap_m, is_admitted) in [(0.2, false), (0.25, false), (0.250_002, true)] {
         let now = state(gap_m, 11.0, 10.0);
@@ -246,16 +246,17 @@ fn the_prediction_includes_pending_commands() {
     };
     let observation = leader_observation(10.0, 100.0, 10.0, 0.0);
     let mut shield = full_throttle_shield(frame);
+    let commands = |shield: &ShieldedController| {
+        let commands = &shield.commands;
+        (
+            commands.response_mps2(),
+            commands.pending_mps2().collect::<Vec<_>>(),
+        )
+    };
     assert_eq!(shield.decide(&observation).unwrap(), 3.0);
-    assert_eq!(
-        (shield.response_mps2, shield.pending_mps2.as_slices().0),
-        (0.0, &[3.0][..])
-    );
+    assert_eq!(commands(&shield), (0.0, vec![3.0]));
     assert_eq!(shield.decide(&observation).unwrap(), 3.0);
-    assert_eq!(
-        (shield.response_mps2, shield.pending_mps2.as_slices().0),
-        (1.5, &[3.0][..])
-    );
+    assert_eq!(commands(&shield), (1.5, vec![3.0]));
     let worst = shield.worst_state(&observation).unwrap();
     assert_eq!((worst.response_mps2, worst.ahead_mps), (2.25, 9.5));
     assert!(
@@ -410,4 +411,24 @@ fn only_changed_commands_are_overrides() {
         rear_conflict: false,
     };
     assert_eq!(braking.overrides(), [expected]);
+}
+
+/// Suites run several seeds of a controller that acts at random, also behind a shield.
+#[test]
+fn a_shield_acts_at_random_if_its_controller_does() {
+    for (name, acts_at_random) in [("human", true), ("car:ix-2023", true), ("idm", false)] {
+        let shielded = |settings: &str| ShieldedSource {
+            controller: BuiltInController::from_name_or_preset(name)
+                .unwrap()
+                .into_source(),
+            settings: ShieldKind::parse(settings).unwrap(),
+        };
+        for settings in ["", "2"] {
+            assert_eq!(
+                shielded(settings).acts_at_random(),
+                acts_at_random,
+                "{settings}:{name}"
+            );
+        }
+    }
 }

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::super::{
-    AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate,
+    AfterCollision, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate,
 };
 use crate::control::BuiltInController;
 use crate::observation::EstimatorKind;
@@ -110,13 +110,13 @@ fn a_leaving_vehicle_counts_from_its_leader() {
     ];
     let simulated = run(&scenario(line, 8.0));
     assert!((tracks(&simulated)[1].in_lane_s[1] - 3.5).abs() < 1e-9);
-    let contact = simulated.outcome.contact().unwrap();
+    let collision = simulated.outcome.collision().unwrap();
     assert_eq!(
-        (contact.front_vehicle, contact.rear_vehicle),
+        (collision.front_vehicle, collision.rear_vehicle),
         (0, 2),
         "no vehicle drives into the one that has left"
     );
-    assert!((contact.time_s - 138.0 / 20.0).abs() < 1e-9);
+    assert!((collision.time_s - 138.0 / 20.0).abs() < 1e-9);
     assert_eq!(simulated.vehicles_involved(), 2);
     let impact = &simulated.impacts[0];
     assert_eq!(
@@ -317,13 +317,13 @@ proptest! {
         let Ok(scenario) = Scenario::new(ScenarioSpec { duration_s: 8.0, vehicles: line, ..spec }) else {
             return Err(TestCaseError::reject("leaves before it enters"));
         };
-        let after = if goes_on { AfterContact::Continue } else { AfterContact::Stop };
-        let options = || RunOptions::new(BuiltInController::from_name("idm").unwrap()).with_after_contact(after);
+        let after = if goes_on { AfterCollision::Continue } else { AfterCollision::Stop };
+        let options = || RunOptions::new(BuiltInController::from_name("idm").unwrap()).with_after_collision(after);
         let (coarse, fine) = (run_with(&scenario, options()), run_with(&scenario, options().with_dt_s(0.002)));
         let close = |a: f64, b: f64| a == b || (a - b).abs() < 1e-6;
         prop_assert_eq!(coarse.impacts.len(), fine.impacts.len());
         for (coarse, fine) in coarse.impacts.iter().zip(&fine.impacts) {
-            prop_assert!(close(coarse.contact.time_s, fine.contact.time_s), "{coarse:?} {fine:?}");
+            prop_assert!(close(coarse.collision.time_s, fine.collision.time_s), "{coarse:?} {fine:?}");
             prop_assert_eq!(&coarse.beside, &fine.beside);
         }
         for (coarse, fine) in tracks(&coarse).iter().zip(tracks(&fine)) {
@@ -338,9 +338,5 @@ proptest! {
 }
 
 fn any_lane_change() -> impl Strategy<Value = LaneChange> {
-    prop_oneof![
-        (0.0..7.0_f64).prop_map(LaneChange::At),
-        (0.5..40.0_f64).prop_map(LaneChange::Gap),
-        (0.5..5.0_f64).prop_map(LaneChange::TimeToCollision),
-    ]
+    crumple_cases::any_lane_change(LaneChange::At, LaneChange::Gap, LaneChange::TimeToCollision)
 }

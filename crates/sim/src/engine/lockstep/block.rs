@@ -4,11 +4,11 @@ use pulp::Arch;
 
 use super::column::VehicleColumn;
 use super::per_run::RunSet;
-use crate::engine::motion::{closest_gap_m, first_contact};
+use crate::engine::motion::{closest_gap_m, first_collision};
 use crate::engine::platoon::PlatoonState;
 use crate::engine::recorder::assemble_result;
 use crate::engine::{
-    AfterContact, FailedController, Impact, RecordingLevel, Run, SimulationResult, Trace,
+    AfterCollision, FailedController, Impact, RecordingLevel, Run, SimulationResult, Trace,
 };
 
 /// Runs with the same shape, at most [`RunSet::CAPACITY`]. The last run takes the slot of a finished one.
@@ -39,7 +39,7 @@ struct ScalarFallback {
 }
 
 /// Collisions and closest gaps of a step.
-struct StepContacts {
+struct StepCollisions {
     /// Runs with a collision in this or an earlier step.
     colliding: RunSet,
     /// Minimum gaps of the pairs of other runs that are closest inside the step.
@@ -191,7 +191,7 @@ impl<'a> LockstepBlock<'a> {
         for column in &mut self.columns {
             column.step(self.arch, dt_s);
         }
-        let StepContacts { colliding, closest } = self.find_contacts(dt_s);
+        let StepCollisions { colliding, closest } = self.find_collisions(dt_s);
         let exact: Vec<ScalarFallback> = colliding
             .iter()
             .map(|lane| self.advance_scalar(lane, from_s, dt_s))
@@ -216,7 +216,7 @@ impl<'a> LockstepBlock<'a> {
     }
 
     /// Finds the runs with a collision in this or an earlier step, and the minimum gaps inside the step of all others.
-    fn find_contacts(&mut self, dt_s: f64) -> StepContacts {
+    fn find_collisions(&mut self, dt_s: f64) -> StepCollisions {
         let mut colliding = self.collided;
         let mut closest = Vec::new();
         let all = RunSet::first(self.lanes.len());
@@ -231,7 +231,7 @@ impl<'a> LockstepBlock<'a> {
                 let front_motion = front.motion(lane);
                 let rear_motion = behind.motion(lane);
                 let length_m = front.length_m[lane];
-                if first_contact(front_motion, rear_motion, length_m, dt_s).is_some() {
+                if first_collision(front_motion, rear_motion, length_m, dt_s).is_some() {
                     colliding.insert(lane);
                 } else {
                     closest.push(ClosestGap {
@@ -243,18 +243,18 @@ impl<'a> LockstepBlock<'a> {
             }
         }
         closest.retain(|gap| !colliding.contains(gap.lane));
-        StepContacts { colliding, closest }
+        StepCollisions { colliding, closest }
     }
 
     fn advance_scalar(&mut self, lane: usize, from_s: f64, dt_s: f64) -> ScalarFallback {
         let mut platoon = self.gather(lane);
         let RunLane { run, impacts, .. } = &mut self.lanes[lane];
-        let after_contact = run.options().after_contact;
-        let done_s = platoon.advance(from_s, dt_s, after_contact, impacts);
+        let after_collision = run.options().after_collision;
+        let done_s = platoon.advance(from_s, dt_s, after_collision, impacts);
         if !impacts.is_empty() {
             self.collided.insert(lane);
         }
-        let ends = after_contact == AfterContact::Stop && !impacts.is_empty();
+        let ends = after_collision == AfterCollision::Stop && !impacts.is_empty();
         for (column, motion) in self.columns.iter_mut().zip(&platoon.motion) {
             column.next_position_m[lane] = motion.position_m;
             column.next_speed_mps[lane] = motion.speed_mps;

@@ -40,6 +40,8 @@ pub(super) struct VehicleColumn<'a> {
     pub(super) min_gap_m: PerRun,
     min_ttc_s: PerRun,
     max_brake_so_far_mps2: PerRun,
+    /// Place of the vehicle in its lane, from the front.
+    vehicle: usize,
 }
 
 impl<'a> VehicleColumn<'a> {
@@ -96,6 +98,7 @@ impl<'a> VehicleColumn<'a> {
                 VehicleExtremes::INITIAL.max_brake_mps2,
                 lanes.len(),
             ),
+            vehicle,
         }
     }
 
@@ -117,6 +120,7 @@ impl<'a> VehicleColumn<'a> {
         collided: RunSet,
     ) -> Vec<(usize, ControllerFailure)> {
         let failed = self.command(arch, lanes, [front, behind], span_s);
+        self.replace_commands_after_impact(lanes);
         self.respond(arch);
         let locked = match collided.is_empty() {
             true => None,
@@ -126,6 +130,35 @@ impl<'a> VehicleColumn<'a> {
         };
         self.add_noise(arch, locked);
         failed
+    }
+
+    /// Replaces the commands of vehicles that have hit their leader, as their runs state.
+    fn replace_commands_after_impact(&mut self, lanes: &[RunLane<'a>]) {
+        for run in self.locked_to_front.iter() {
+            let command_mps2 = lanes
+                .get(run)
+                .and_then(|lane| lane.run.command_after_impact_mps2(self.vehicle));
+            if let Some(command_mps2) = command_mps2 {
+                self.next_acceleration_mps2[run] = command_mps2;
+            }
+        }
+    }
+
+    /// Returns the runs in which the vehicle does not observe its follower, because that has hit it.
+    fn hides_follower(&self, lanes: &[RunLane<'a>], behind: Option<&Self>) -> RunSet {
+        let mut hidden = RunSet::default();
+        for run in behind
+            .map_or(RunSet::default(), |behind| behind.locked_to_front)
+            .iter()
+        {
+            let is_hidden = lanes
+                .get(run)
+                .is_some_and(|lane| lane.run.command_after_impact_mps2(self.vehicle).is_some());
+            if is_hidden {
+                hidden.insert(run);
+            }
+        }
+        hidden
     }
 
     /// Turns commands into responses of the vehicles.
@@ -193,6 +226,7 @@ impl<'a> VehicleColumn<'a> {
     ) -> Vec<(usize, ControllerFailure)> {
         // The compiler knows that all slices have this length, so that no index needs a bounds check.
         let runs = lanes.len();
+        let hides_follower = self.hides_follower(lanes, behind);
         // Not `state_slices`, which would borrow the drivers too.
         let own = StateSlices::first(
             runs,
@@ -207,6 +241,7 @@ impl<'a> VehicleColumn<'a> {
             own,
             front: front.map(|front| front.state_slices(runs)),
             behind: behind.map(|behind| behind.state_slices(runs)),
+            hides_follower,
         };
         let mut failed = Vec::new();
         let commands_mps2 = &mut self.next_acceleration_mps2.padded_mut()[..runs];
@@ -214,16 +249,25 @@ impl<'a> VehicleColumn<'a> {
             self.drivers
                 .command_from_true_state(arch, span_s, &view, commands_mps2, &mut failed);
         } else {
+            // Sensors measure the true gap behind, also if the driver does not observe it.
+            let measured = NeighbourhoodView {
+                hides_follower: RunSet::default(),
+                ..view
+            };
             let estimators = &mut self.estimators;
+            self.drivers.perceive(|run| view.observation(run));
             self.drivers.command(
                 arch,
                 span_s,
                 own.speed_mps,
                 |run| {
-                    estimators[run].observe(&TrueState {
+                    let truth = TrueState {
                         position_m: own.position_m[run],
-                        observation: view.observation(run),
-                    })
+                        observation: measured.observation(run),
+                    };
+                    estimators[run]
+                        .observe(&truth)
+                        .hiding_follower(hides_follower.contains(run))
                 },
                 commands_mps2,
                 &mut failed,

@@ -96,6 +96,24 @@ macro_rules! define {
                 }
             }
 
+            /// Shows each run's true state to its driver, before it decides on an estimate.
+            #[inline]
+            pub(super) fn perceive(&mut self, truth: impl Fn(usize) -> Observation) {
+                match self {
+                    Self::Profile(_) | Self::Followers(_) => {}
+                    $(Self::$rule(all) => perceive_all(all, truth),)*
+                    Self::Policy(all) => perceive_all(all, truth),
+                    Self::Other(all) => perceive_all(all, truth),
+                    Self::Mixed(drivers) => {
+                        for (run, driver) in drivers.iter_mut().enumerate() {
+                            if let VehicleController::Controller(controller) = driver {
+                                controller.perceive(&truth(run));
+                            }
+                        }
+                    }
+                }
+            }
+
             pub(super) fn swap_remove(&mut self, run: usize) {
                 match self {
                     Self::Profile(leaders) => leaders.swap_remove(run),
@@ -110,6 +128,13 @@ macro_rules! define {
     };
 }
 with_controllers!(define);
+
+#[inline(always)]
+fn perceive_all<C: Controller>(all: &mut [C], truth: impl Fn(usize) -> Observation) {
+    for (run, controller) in all.iter_mut().enumerate() {
+        controller.perceive(&truth(run));
+    }
+}
 
 fn all_of_kind<'s, T>(
     drivers: Vec<VehicleController<&'s LeadProfile>>,

@@ -127,7 +127,7 @@ pub(super) fn screen(
             rear_mps[run] - front_mps[run],
             next_rear_mps[run] - next_front_mps[run],
         ];
-        let is_close = motion::needs_contact_check(
+        let is_close = motion::needs_collision_check(
             gap_m,
             [rear_mps[run], next_rear_mps[run]],
             closing_mps,

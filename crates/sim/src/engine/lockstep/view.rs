@@ -1,6 +1,6 @@
 //! True state of a vehicle position and its neighbours, in all runs of a block.
 
-use super::per_run::PerRun;
+use super::per_run::{PerRun, RunSet};
 use crate::observation::{Neighbour, Observation};
 
 #[derive(Clone, Copy)]
@@ -32,10 +32,13 @@ impl<'a> StateSlices<'a> {
     }
 }
 
+#[derive(Clone, Copy)]
 pub(super) struct NeighbourhoodView<'a> {
     pub(super) own: StateSlices<'a>,
     pub(super) front: Option<StateSlices<'a>>,
     pub(super) behind: Option<StateSlices<'a>>,
+    /// Runs in which the vehicle does not observe its follower.
+    pub(super) hides_follower: RunSet,
 }
 
 impl NeighbourhoodView<'_> {
@@ -55,15 +58,19 @@ impl NeighbourhoodView<'_> {
                     )
                 },
             ),
-            behind: self.behind.as_ref().map(
-                #[inline(always)]
-                |behind| {
-                    behind.neighbour(
-                        run,
-                        own.position_m[run] - own.length_m[run] - behind.position_m[run],
-                    )
-                },
-            ),
+            behind: self
+                .behind
+                .as_ref()
+                .filter(|_| !self.hides_follower.contains(run))
+                .map(
+                    #[inline(always)]
+                    |behind| {
+                        behind.neighbour(
+                            run,
+                            own.position_m[run] - own.length_m[run] - behind.position_m[run],
+                        )
+                    },
+                ),
         }
     }
 }

@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::control::BuiltInController;
-use crate::engine::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+use crate::engine::{AfterCollision, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 use crate::observation::EstimatorKind;
 use crate::scenario::{Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
 
@@ -264,7 +264,7 @@ fn the_engines_agree_in_runs_with_collisions() {
         .map(|(name, index)| {
             let options = RunOptions::new(BuiltInController::from_name(name).unwrap())
                 .with_estimator(EstimatorKind::Truth)
-                .with_after_contact(AfterContact::Continue);
+                .with_after_collision(AfterCollision::Continue);
             Run::new(&paper_scenario(index), options).unwrap()
         })
         .collect();

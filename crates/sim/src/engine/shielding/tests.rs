@@ -92,7 +92,7 @@ impl FarAway {
     fn shielded_options(&self) -> RunOptions {
         let controller = ShieldedSource {
             controller: self.driver.clone().into_source(),
-            settings: ShieldSettings::default(),
+            settings: ShieldSettings::default().into(),
         };
         RunOptions::new(controller.into_source()).with_estimator(EstimatorKind::Truth)
     }
@@ -123,7 +123,7 @@ fn check_no_collision(far: &FarAway) -> Result<(), TestCaseError> {
 }
 
 #[test]
-fn rounding_far_from_the_origin_costs_no_contact() {
+fn rounding_far_from_the_origin_costs_no_collision() {
     use VehicleClass::{Heavy, Light};
     let overrides = [
         FarAway {
@@ -506,7 +506,7 @@ fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
         RunOptions::new(
             ShieldedSource {
                 controller,
-                settings: ShieldSettings::default(),
+                settings: ShieldSettings::default().into(),
             }
             .into_source(),
         )
@@ -595,12 +595,12 @@ fn a_shield_around_a_shield_is_refused() {
     let controller = BuiltInController::FullThrottle(Default::default()).into_source();
     let inner = ShieldedSource {
         controller,
-        settings: settings(9.0),
+        settings: settings(9.0).into(),
     }
     .into_source();
     let nested = ShieldedSource {
         controller: inner,
-        settings: settings(3.0),
+        settings: settings(3.0).into(),
     }
     .into_source();
     let refused = Run::new(

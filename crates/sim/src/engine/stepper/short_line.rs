@@ -103,6 +103,9 @@ impl<const N: usize> ShortLine<N> {
                 Ok(profile.acceleration_mps2(span_s[0], span_s[1], speed_mps))
             }
             (None, None, VehicleController::Controller(controller)) => {
+                if has_estimate {
+                    controller.perceive(&self.true_state(index).observation);
+                }
                 controller.decide(&observe())
             }
         };
@@ -114,7 +117,7 @@ impl<const N: usize> ShortLine<N> {
 
     /// Moves all vehicles by `dt_s`, unless they may collide.
     #[inline]
-    fn advance_contact_free(&mut self, decided_mps2: [f64; N], dt_s: f64) -> bool {
+    fn advance_collision_free(&mut self, decided_mps2: [f64; N], dt_s: f64) -> bool {
         let mut now = self.motion;
         for (motion, acceleration_mps2) in now.iter_mut().zip(decided_mps2) {
             motion.acceleration_mps2 = acceleration_mps2;
@@ -154,7 +157,7 @@ impl Stepper {
             let Some(decided_mps2) = self.decide_short_line(&line, index, command) else {
                 break FallbackReason::CommandsPending;
             };
-            if self.failed.is_some() || !line.advance_contact_free(decided_mps2, time_grid.dt_s) {
+            if self.failed.is_some() || !line.advance_collision_free(decided_mps2, time_grid.dt_s) {
                 self.next_acceleration_mps2.copy_from_slice(&decided_mps2);
                 break FallbackReason::CommandsReady;
             }

@@ -37,7 +37,7 @@ pub(super) fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
             action: stream.random_range(-1.0..1.0),
             reward: stream.random_range(-2.0..1.0),
             continues: stream.random_bool(0.8),
-            contact: false,
+            collision: false,
             expert_action: None,
         });
     }

@@ -9,9 +9,10 @@ use serde_json::Value;
 
 use super::order::compare_strengths;
 use crate::assessment::CertificateStatus;
-use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Strength};
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Property, Strength};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_sim::observation::EstimatorKind;
 
 /// The results by name and domain hash. The hash separates results of spaces and scenarios that have the same name.
 pub(super) type Facts = BTreeMap<(String, String), Fact>;
@@ -23,6 +24,8 @@ pub(super) struct Fact {
     pub(super) description: String,
     /// True for a counterexample or a refuted claim: its presence is a failure.
     pub(super) is_failure: bool,
+    /// True if the controller collides, for results about collisions.
+    pub(super) collides: Option<bool>,
 }
 
 /// The comparable content of a result.
@@ -67,9 +70,9 @@ pub(super) fn read<T: DeserializeOwned>(value: &Value, field: &str) -> Result<T,
 /// A field that is missing or has another form.
 pub(super) fn read_facts(evidence: &Value) -> Result<Facts, String> {
     let mut facts = Facts::new();
-    let domains = add_claims(evidence, &mut facts)?;
-    add_gaps(evidence, &domains, &mut facts)?;
-    add_failures(evidence, &domains, &mut facts)?;
+    let claims = add_claims(evidence, &mut facts)?;
+    add_gaps(evidence, &claims, &mut facts)?;
+    add_failures(evidence, &claims, &mut facts)?;
     add_certificates(evidence, &mut facts)?;
     Ok(facts)
 }
@@ -90,6 +93,7 @@ fn add_certificates(evidence: &Value, facts: &mut Facts) -> Result<(), String> {
                 measure: Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. })),
                 description: status.describe(),
                 is_failure: false,
+                collides: None,
             },
         );
     }
@@ -100,10 +104,27 @@ fn hash(domain: &Domain) -> String {
     sha256(format!("{domain:?}"))
 }
 
-/// Adds the status of each claim about each controller. Returns the domains of the claims.
-fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String> {
+/// Returns the hash of the domain of a claim and of its estimator: results with another estimator are not compared.
+fn claim_hash(claim: &AssuranceClaim) -> String {
+    match claim.subject.estimator {
+        EstimatorKind::Kalman => hash(&claim.domain),
+        estimator => sha256(format!("{} {:?}", estimator.name(), claim.domain)),
+    }
+}
+
+/// True if a claim about collisions is refuted; `None` for other claims.
+fn claim_collides(claim: &AssuranceClaim, strength: &Strength) -> Option<bool> {
+    let is_about_collisions = matches!(
+        claim.property,
+        Property::NoCollision | Property::NoCollisionAhead
+    );
+    is_about_collisions.then(|| strength.is_refutation())
+}
+
+/// Adds the status of each claim about each controller. Returns the claims.
+fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<AssuranceClaim>, String> {
     let controllers: Vec<String> = read(evidence, "summary/controllers")?;
-    let mut domains = Vec::new();
+    let mut all_claims = Vec::new();
     for row in read::<Vec<Value>>(evidence, "summary/claims")? {
         let claim_text: String = read(&row, "claim")?;
         let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
@@ -117,31 +138,39 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String
         for (((controller, claim), strength), status) in
             controllers.iter().zip(claims).zip(strengths).zip(&statuses)
         {
-            // An untried claim is absent: neither better nor worse.
-            if strength != Strength::Untried {
-                let domain = claim
+            // A claim that nothing decides is absent: neither better nor worse.
+            if !matches!(strength, Strength::Untried | Strength::NotShown) {
+                let domain = claim.as_ref().map_or_else(String::new, claim_hash);
+                let collides = claim
                     .as_ref()
-                    .map_or_else(String::new, |claim| hash(&claim.domain));
+                    .and_then(|claim| claim_collides(claim, &strength));
                 facts.insert(
                     (format!("{controller}: {claim_text}"), domain),
                     Fact {
                         description: strength.describe(),
                         is_failure: strength.is_refutation(),
+                        collides,
                         measure: Measure::Claim(strength, deciding_domain(evidence, status)),
                     },
                 );
             }
-            domains.extend(claim.map(|claim| claim.domain));
+            all_claims.extend(claim);
         }
     }
-    Ok(domains)
+    Ok(all_claims)
 }
 
-/// Returns the hash of the domain of the first piece of evidence behind a status.
+/// Returns the hash of the domain of the first piece of evidence behind a status, and of the number of its runs if they
+/// bound a rate: more runs give narrower bounds of the same rate.
 fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
     let index = status.pointer("/evidence/0")?.as_u64()?;
     let domain = evidence.pointer(&format!("/evidence/{index}/claim/domain"))?;
-    Some(hash(&Domain::deserialize(domain).ok()?))
+    let mut domain = hash(&Domain::deserialize(domain).ok()?);
+    let strength: Strength = read(evidence, &format!("evidence/{index}")).ok()?;
+    if let Strength::Between { runs, .. } = strength {
+        domain += &format!(" {runs} runs");
+    }
+    Some(domain)
 }
 
 fn listed_scenarios(domain: &Domain) -> &[ContentId] {
@@ -151,19 +180,30 @@ fn listed_scenarios(domain: &Domain) -> &[ContentId] {
     }
 }
 
+/// Returns the content of each scenario by its name: its hash, and the estimator, if it is not the usual one.
+fn scenario_contents(claims: &[AssuranceClaim]) -> BTreeMap<&str, String> {
+    let mut content_by_name: BTreeMap<&str, String> = BTreeMap::new();
+    for claim in claims {
+        for scenario in listed_scenarios(&claim.domain) {
+            let content = match claim.subject.estimator {
+                EstimatorKind::Kalman => scenario.sha256.clone(),
+                estimator => format!("{} {}", scenario.sha256, estimator.name()),
+            };
+            content_by_name.insert(&scenario.name, content);
+        }
+    }
+    content_by_name
+}
+
 /// Adds the smallest gap of each case.
-fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
-    let sha256_by_name: BTreeMap<&str, &str> = domains
-        .iter()
-        .flat_map(listed_scenarios)
-        .map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str()))
-        .collect();
+fn add_gaps(evidence: &Value, claims: &[AssuranceClaim], facts: &mut Facts) -> Result<(), String> {
+    let content_by_name = scenario_contents(claims);
     for part in ["paper_scenarios/scenarios", "file_scenarios/scenarios"] {
         for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
             let name: String = read(&scenario, "scenario")?;
-            let content = sha256_by_name
+            let content = content_by_name
                 .get(name.as_str())
-                .copied()
+                .cloned()
                 .unwrap_or_default();
             for case in read::<Vec<Value>>(&scenario, "cases")? {
                 let controller: String = read(&case, "controller")?;
@@ -172,15 +212,21 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
                 };
                 let key = (
                     format!("{controller}: smallest gap in {name}"),
-                    content.to_owned(),
+                    content.clone(),
                 );
-                let description = format!("{gap_m:.2} m");
+                let collides = collides(&case)?;
+                let description = if collides {
+                    "collision".to_owned()
+                } else {
+                    format!("{gap_m:.2} m")
+                };
                 facts.insert(
                     key,
                     Fact {
                         measure: Measure::GapM(gap_m),
                         description,
                         is_failure: false,
+                        collides: Some(collides),
                     },
                 );
             }
@@ -189,18 +235,28 @@ fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(
     Ok(())
 }
 
+/// True if the controller collides in a case.
+fn collides(case: &Value) -> Result<bool, String> {
+    let kind: String = read(case, "verdict/kind")?;
+    Ok(matches!(kind.as_str(), "hit" | "was_hit"))
+}
+
 /// Adds each kind of failure that a search found.
-fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
+fn add_failures(
+    evidence: &Value,
+    claims: &[AssuranceClaim],
+    facts: &mut Facts,
+) -> Result<(), String> {
     for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
         let name: String = read(&space, "name")?;
         let content: String = read(&space, "content_id/sha256")?;
         // A search with another budget or seed is another result.
-        let domain = domains
+        let domain = claims
             .iter()
-            .find(
-                |domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content),
-            )
-            .map_or_else(|| content.clone(), hash);
+            .find(|claim| {
+                matches!(&claim.domain, Domain::Search { space, .. } if space.sha256 == content)
+            })
+            .map_or_else(|| content.clone(), claim_hash);
         for search in read::<Vec<Value>>(&space, "controllers")? {
             let controller: String = read(&search, "controller")?;
             let mut kinds: BTreeMap<String, [usize; 2]> = BTreeMap::new();
@@ -223,6 +279,7 @@ fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Resu
                         measure: Measure::Found,
                         description,
                         is_failure: true,
+                        collides: None,
                     },
                 );
             }

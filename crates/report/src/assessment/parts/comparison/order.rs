@@ -41,6 +41,13 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
             },
         ) => compare_searches([before, before_avoidable], [failures, avoidable]),
         (Strength::Tested { runs: before }, Strength::Tested { runs }) => Some(runs.cmp(before)),
+        (
+            Strength::PartlyTested {
+                undecided: before,
+                runs: before_runs,
+            },
+            Strength::PartlyTested { undecided, runs },
+        ) if runs == before_runs => Some(before.cmp(undecided)),
         (Strength::Proved { .. }, Strength::Proved { .. }) => Some(Ordering::Equal),
         (
             Strength::PartlyProved {

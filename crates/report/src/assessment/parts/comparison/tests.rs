@@ -18,6 +18,7 @@ fn facts_of(facts: &[(&str, Strength)]) -> Facts {
     let fact = |strength: &Strength| Fact {
         description: strength.describe(),
         is_failure: strength.is_refutation(),
+        collides: Some(strength.is_refutation()),
         measure: Measure::Claim(strength.clone(), None),
     };
     facts
@@ -179,6 +180,30 @@ fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
     assert_eq!(
         compare_strengths(&tested(200), &refuted(10, 200), true),
         Some(Less)
+    );
+}
+
+/// A collision where none was is called that, comes first, and is on the terminal.
+#[test]
+fn a_collision_where_none_was_comes_first() {
+    let before = earlier(&[("a", refuted(1, 9)), ("b", tested(9)), ("c", refuted(1, 9))]);
+    let now = facts_of(&[("a", refuted(2, 9)), ("b", refuted(1, 9)), ("c", tested(9))]);
+    let comparison = AssessmentComparison::from_facts(&before, &now, true);
+    let new: Vec<(&str, bool)> = comparison
+        .worse
+        .iter()
+        .map(|change| (change.description.as_str(), change.is_new_collision))
+        .collect();
+    assert_eq!(new, [("b", true), ("a", false)]);
+    assert!(!comparison.better[0].is_new_collision);
+    let text = comparison.to_plain_text();
+    let lines: Vec<&str> = text.lines().skip(1).collect();
+    assert_eq!(
+        lines,
+        [
+            "  NEW COLLISION  b: tested: 0 of 9 fail -> refuted: 1 of 9 fail",
+            "  worse  a: refuted: 1 of 9 fail -> refuted: 2 of 9 fail",
+        ]
     );
 }
 

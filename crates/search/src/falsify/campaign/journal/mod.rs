@@ -180,7 +180,7 @@ fn header_line(identity: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crumple_measure::{BrakingLevel, FirstContact};
+    use crumple_measure::{BrakingLevel, FirstCollision};
     use crumple_sim::scenario::VehicleClass;
 
     fn identity() -> String {
@@ -198,7 +198,7 @@ mod tests {
     fn whole_records_are_read_back_and_torn_ones_are_dropped() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("journal");
-        let struck = FirstContact {
+        let struck = FirstCollision {
             time_s: 1.25,
             front_vehicle: 1,
             rear_vehicle: 2,
@@ -213,7 +213,7 @@ mod tests {
         let verdicts = [
             failed,
             RunVerdict {
-                contact: Some(struck),
+                collision: Some(struck),
                 ..RunVerdict::new(-7.5)
             },
         ];

@@ -4,7 +4,7 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use crumple_core::digest::Sha256;
-use crumple_measure::{BrakingLevel, FirstContact, RunVerdict};
+use crumple_measure::{BrakingLevel, FirstCollision, RunVerdict};
 use crumple_sim::scenario::VehicleClass;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
@@ -15,7 +15,7 @@ pub(super) const BODY_BYTES: usize = 3 * 8 + 2 * 4 + 2;
 pub(super) const CHECKSUM_BYTES: usize = 6;
 pub(super) const RECORD_BYTES: usize = BODY_BYTES + CHECKSUM_BYTES;
 /// Code in place of the braking level without a collision.
-const NO_CONTACT: u8 = u8::MAX;
+const NO_COLLISION: u8 = u8::MAX;
 /// Code in place of the braking level if a controller failed. The field of the vehicle that is hit then holds the
 /// vehicle of that controller.
 const CONTROLLER_FAILED: u8 = u8::MAX - 1;
@@ -105,13 +105,13 @@ struct RecordFields {
 
 impl RecordFields {
     fn from_verdict(verdict: &RunVerdict) -> Self {
-        match (verdict.contact, verdict.failure) {
-            (Some(contact), _) => Self {
-                time_s: contact.time_s,
-                impact_speed_mps: contact.impact_speed_mps,
-                vehicles: [contact.front_vehicle, contact.rear_vehicle],
-                kind: contact.ego_braking as u8,
-                class: contact.rear_class.number(),
+        match (verdict.collision, verdict.failure) {
+            (Some(collision), _) => Self {
+                time_s: collision.time_s,
+                impact_speed_mps: collision.impact_speed_mps,
+                vehicles: [collision.front_vehicle, collision.rear_vehicle],
+                kind: collision.ego_braking as u8,
+                class: collision.rear_class.number(),
             },
             (None, Some((time_s, vehicle))) => Self {
                 time_s,
@@ -124,7 +124,7 @@ impl RecordFields {
                 time_s: 0.0,
                 impact_speed_mps: 0.0,
                 vehicles: [0, 0],
-                kind: NO_CONTACT,
+                kind: NO_COLLISION,
                 class: 0,
             },
         }
@@ -151,9 +151,9 @@ pub(in crate::falsify::campaign) fn encode(verdict: &RunVerdict) -> [u8; BODY_BY
 
 pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerdict {
     let [.., braking, class] = *record;
-    let contact = BrakingLevel::ALL
+    let collision = BrakingLevel::ALL
         .get(usize::from(braking))
-        .map(|&ego_braking| FirstContact {
+        .map(|&ego_braking| FirstCollision {
             time_s: decode_double(record, 1),
             front_vehicle: decode_vehicle(record, 0),
             rear_vehicle: decode_vehicle(record, 1),
@@ -168,7 +168,7 @@ pub(in crate::falsify::campaign) fn decode(record: &[u8; BODY_BYTES]) -> RunVerd
         .then(|| (decode_double(record, 1), decode_vehicle(record, 0)));
     RunVerdict {
         robustness: decode_double(record, 0),
-        contact,
+        collision,
         failure,
     }
 }

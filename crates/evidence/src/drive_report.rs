@@ -1,0 +1,334 @@
+//! Counts of a controller on recorded drives, with their rates, as text and as JSON.
+
+use serde::{Deserialize, Serialize};
+
+use super::drives::{DriveEnd, DriveRun, DriveRuns, DriveSet, MeasuredDrive};
+use super::exposure::{CONFIDENCE, IntervalEstimate};
+use super::replay_report::plural;
+use crumple_core::digits::format_fixed;
+use crumple_core::interval::RateInterval;
+use crumple_core::quoting::TerminalText;
+use crumple_measure::{CollisionRole, FAR_TIME_GAP_S, HARD_BRAKE_MPS2};
+use crumple_sim::engine::FailedControllerRuns;
+
+/// Number of events on drives, with their rates and exact intervals at 95 %.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct EventRate {
+    /// Number of events.
+    pub count: u64,
+    /// Events per hour.
+    pub per_hour: IntervalEstimate,
+    /// Events per 100 km; absent if the vehicles stand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub per_100_km: Option<IntervalEstimate>,
+}
+
+impl EventRate {
+    pub(super) fn new(count: u64, [hours, kilometres]: [f64; 2]) -> Self {
+        Self {
+            count,
+            per_hour: IntervalEstimate::poisson_rate(count, hours),
+            per_100_km: (kilometres > 0.0)
+                .then(|| IntervalEstimate::poisson_rate(count, kilometres / 100.0)),
+        }
+    }
+
+    /// Returns the events per hour, and the ends of their interval.
+    #[must_use]
+    pub fn per_hour_interval(&self) -> [f64; 3] {
+        let rate = &self.per_hour;
+        [rate.estimate, rate.lower, rate.upper]
+    }
+
+    /// Returns count and rates as a row of the text.
+    pub(super) fn row(&self, what: &str) -> String {
+        let per_100_km = self.per_100_km.as_ref();
+        let per_100_km = per_100_km.map_or_else(|| "-".to_owned(), ToString::to_string);
+        format!(
+            "  {what:<34} {:>5}  {:<26} {per_100_km}\n",
+            self.count,
+            self.per_hour.to_string(),
+        )
+    }
+}
+
+/// Comfort and distance on drives.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct DriveComfort {
+    /// Number of drives.
+    pub drives: u64,
+    /// Hours until the end of the drives or a collision.
+    pub hours: f64,
+    /// Kilometres in these hours.
+    pub kilometres: f64,
+    /// Unnecessary braking.
+    pub unnecessary_braking: EventRate,
+    /// Number of drives with unnecessary braking.
+    pub unnecessary_braking_drives: u64,
+    /// Number of drives with braking above 4 m/s².
+    pub hard_braking_drives: u64,
+    /// Root mean square of the jerk, in m/s³; mean of the drives.
+    pub rms_jerk_mps3: Option<f64>,
+    /// Jerk from speeds at the recorded intervals, with accelerations averaged over half a second.
+    pub rms_jerk_sampled_mps3: Option<f64>,
+    /// Time gap while moving, in seconds; mean of the drives.
+    pub time_gap_s: Option<f64>,
+}
+
+impl DriveComfort {
+    /// Summarises the drives of a controller or of the recorded drivers.
+    #[must_use]
+    pub fn new<'a>(drives: impl Iterator<Item = &'a MeasuredDrive> + Clone) -> Self {
+        let hours = drives.clone().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
+        let kilometres = drives.clone().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
+        let unnecessary = drives
+            .clone()
+            .map(|drive| drive.measures.unnecessary.count as u64)
+            .sum();
+        let brakes_unnecessarily = |drive: &&MeasuredDrive| !drive.measures.unnecessary.is_empty();
+        let is_hard = |drive: &&MeasuredDrive| drive.peak_brake_mps2 > HARD_BRAKE_MPS2;
+        Self {
+            drives: drives.clone().count() as u64,
+            hours,
+            kilometres,
+            unnecessary_braking: EventRate::new(unnecessary, [hours, kilometres]),
+            unnecessary_braking_drives: drives.clone().filter(brakes_unnecessarily).count() as u64,
+            hard_braking_drives: drives.clone().filter(is_hard).count() as u64,
+            rms_jerk_mps3: mean(drives.clone().map(|drive| drive.measures.rms_jerk_mps3)),
+            rms_jerk_sampled_mps3: mean(drives.clone().map(|drive| drive.sampled.rms_jerk_mps3)),
+            time_gap_s: mean(drives.map(|drive| drive.measures.following?.mean_time_gap_s)),
+        }
+    }
+
+    /// Summarises the recorded cars in the places of the vehicles under test.
+    #[must_use]
+    pub fn of_recorded_cars(drives: &DriveSet) -> Self {
+        Self {
+            // Their accelerations are known at the recorded intervals only.
+            rms_jerk_mps3: None,
+            ..Self::new(drives.recorded())
+        }
+    }
+}
+
+/// Returns the number of drives without an answer, and the reason of the first.
+fn count_unanswered(runs: &[DriveRun]) -> Option<FailedControllerRuns> {
+    let mut unanswered = None;
+    for run in runs {
+        if let DriveEnd::NoAnswer(failed) = &run.end {
+            FailedControllerRuns::add(&mut unanswered, failed);
+        }
+    }
+    unanswered
+}
+
+/// Returns the mean of the known values.
+fn mean(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
+    let (sum, count) = values
+        .flatten()
+        .fold((0.0, 0_u64), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / count as f64)
+}
+
+/// Counts of a controller on recorded drives, each of which it drove once.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct DriveReport {
+    /// Name of the controller.
+    pub controller: String,
+    /// Comfort, distance and unnecessary braking.
+    #[serde(flatten)]
+    pub comfort: DriveComfort,
+    /// Collisions and missing answers for which the controller is to blame.
+    pub failures: EventRate,
+    /// Collisions with the leader.
+    pub hits_leader: u64,
+    /// Collisions from behind with a vehicle that can react.
+    pub hit_from_behind: u64,
+    /// Drives in which the controller gave no answer.
+    pub no_answer: u64,
+    /// Number of these drives, and the reason of the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unanswered: Option<FailedControllerRuns>,
+    /// Collisions from behind with a vehicle that repeats recorded speeds: they blame no controller.
+    pub hit_by_recording: u64,
+    /// Collisions of other vehicles: no evidence about the controller.
+    pub others_collide: u64,
+    /// Drives that a collision ended before any unnecessary braking: they decide nothing about the rest of the drive.
+    pub ended_before_unnecessary_braking: u64,
+    /// Drives without a vehicle behind, in which no collision from behind can happen.
+    pub without_vehicle_behind: u64,
+    /// Drives whose recorded vehicle is far behind its leader, see [`FAR_TIME_GAP_S`].
+    pub far_behind_leader: u64,
+    /// Root mean square of the difference to the recorded gaps, in metres; mean of the drives.
+    pub rms_spacing_error_m: Option<f64>,
+    /// The controller on the same drives without any vehicle behind: the difference is what these vehicles cause.
+    /// Absent if no drive has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alone: Option<DriveComfort>,
+    /// The recorded drivers in the same places.
+    pub recorded: DriveComfort,
+}
+
+impl DriveReport {
+    /// Summarises the runs of a controller on a set of drives.
+    #[must_use]
+    pub fn new(controller: &str, runs: &DriveRuns, drives: &DriveSet) -> Self {
+        let alone = runs.alone.as_ref();
+        let runs = &runs.driven;
+        let comfort = DriveComfort::new(runs.iter().map(|run| &run.drive));
+        let ended_before_unnecessary_braking = |run: &&DriveRun| {
+            matches!(run.end, DriveEnd::Collision(..)) && run.drive.measures.unnecessary.is_empty()
+        };
+        let count = |is_counted: &dyn Fn(&DriveEnd) -> bool| {
+            runs.iter().filter(|run| is_counted(&run.end)).count() as u64
+        };
+        let collisions = |role: CollisionRole| {
+            count(&|end| matches!(end, DriveEnd::Collision(found, _) if *found == role))
+        };
+        Self {
+            controller: controller.to_owned(),
+            failures: EventRate::new(
+                count(&DriveEnd::is_failure),
+                [comfort.hours, comfort.kilometres],
+            ),
+            comfort,
+            hits_leader: collisions(CollisionRole::Hits),
+            hit_from_behind: collisions(CollisionRole::HitFromBehind),
+            no_answer: count(&|end| matches!(end, DriveEnd::NoAnswer(_))),
+            unanswered: count_unanswered(runs),
+            hit_by_recording: collisions(CollisionRole::HitByRecording),
+            others_collide: collisions(CollisionRole::Bystander),
+            ended_before_unnecessary_braking: runs
+                .iter()
+                .filter(ended_before_unnecessary_braking)
+                .count() as u64,
+            without_vehicle_behind: drives.without_vehicle_behind() as u64,
+            far_behind_leader: drives.far_behind_leader() as u64,
+            rms_spacing_error_m: mean(runs.iter().map(|run| run.rms_spacing_error_m)),
+            alone: alone.map(|runs| DriveComfort::new(runs.iter().map(|run| &run.drive))),
+            recorded: DriveComfort::of_recorded_cars(drives),
+        }
+    }
+
+    /// Returns the report for a reader, as lines.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let DriveComfort {
+            drives,
+            hours,
+            kilometres,
+            ..
+        } = self.comfort;
+        let plural = plural(drives);
+        let mut text = format!(
+            "{}: {drives} recorded drive{plural}, each once: {hours:.2} h, {kilometres:.1} km\n  {:<34} {:>5}  \
+             {:<26} {}\n",
+            TerminalText(&self.controller),
+            "",
+            "count",
+            "per hour, at 95 %",
+            "per 100 km",
+        );
+        text += &self.failures.row("collisions and missing answers");
+        text += &self.comfort.unnecessary_braking.row("unnecessary braking");
+        for (comfort, what) in [
+            (self.alone.as_ref(), "  without the vehicle behind"),
+            (Some(&self.recorded), "  of the recorded cars"),
+        ] {
+            if let Some(comfort) = comfort {
+                text += &comfort.unnecessary_braking.row(what);
+            }
+        }
+        text += &self.describe_failures();
+        text += &self.comfort_rows();
+        text + &self.notes()
+    }
+
+    /// Describes the failures by kind.
+    fn describe_failures(&self) -> String {
+        let kinds = format!(
+            "  {} hit the leader, {} hit from behind, {} without an answer",
+            self.hits_leader, self.hit_from_behind, self.no_answer
+        );
+        // Drives that another vehicle ended decide nothing about the controller.
+        let ended_by_others = self.hit_by_recording + self.others_collide;
+        let decided = self.comfort.drives.saturating_sub(ended_by_others);
+        if decided == 0 {
+            return format!("{kinds}: no drive was decided\n");
+        }
+        let share = RateInterval::clopper_pearson(self.failures.count, decided, CONFIDENCE);
+        let [lower, upper] = [share.lower, share.upper].map(|share| format_fixed(100.0 * share, 2));
+        let of_drives = match ended_by_others {
+            0 => "drives".to_owned(),
+            _ => format!("{decided} drives that no other vehicle ended"),
+        };
+        format!("{kinds}: {lower} to {upper} % of {of_drives} at 95 %\n")
+    }
+
+    /// Returns the table of comfort, beside the recorded cars.
+    fn comfort_rows(&self) -> String {
+        let name = TerminalText(&self.controller).to_string();
+        let mut text = format!(
+            "  {:<24} {:>14} {:>14} {:>14} {:>20}\n",
+            "", "rms jerk m/s³", "as recorded", "time gap s", "drives above 4 m/s²"
+        );
+        let rows = [
+            (name.as_str(), Some(&self.comfort)),
+            ("  no vehicle behind", self.alone.as_ref()),
+            ("recorded cars", Some(&self.recorded)),
+        ];
+        let rows = rows
+            .into_iter()
+            .filter_map(|(name, comfort)| Some((name, comfort?)));
+        for (name, comfort) in rows {
+            let format =
+                |value: Option<f64>| value.map_or("-".to_owned(), |value| format_fixed(value, 2));
+            text += &format!(
+                "  {name:<24} {:>14} {:>14} {:>14} {:>20}\n",
+                format(comfort.rms_jerk_mps3),
+                format(comfort.rms_jerk_sampled_mps3),
+                format(comfort.time_gap_s),
+                comfort.hard_braking_drives
+            );
+        }
+        if let Some(error_m) = self.rms_spacing_error_m {
+            text += &format!("  spacing error (rms, mean of drives) {error_m:.2} m\n");
+        }
+        text
+    }
+
+    fn notes(&self) -> String {
+        let far_behind = format!(
+            "with a recorded median time gap above {FAR_TIME_GAP_S} s: a vehicle that is not recorded may be \
+             between"
+        );
+        let notes = [
+            (
+                self.hit_by_recording,
+                "collision",
+                "from behind with recorded speeds, which cannot react: blames no controller",
+            ),
+            (
+                self.others_collide,
+                "collision",
+                "of other vehicles: no evidence about the controller",
+            ),
+            (
+                self.without_vehicle_behind,
+                "drive",
+                "without a vehicle behind: collisions from behind cannot happen",
+            ),
+            (self.far_behind_leader, "drive", &far_behind),
+        ];
+        let shown = notes.into_iter().filter(|(count, ..)| *count > 0);
+        shown
+            .map(|(count, noun, note)| {
+                let plural = plural(count);
+                format!("  {count} {noun}{plural} {note}\n")
+            })
+            .collect()
+    }
+}

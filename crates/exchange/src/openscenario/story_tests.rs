@@ -1,0 +1,627 @@
+//! Stories: priorities, replaced actions, states, lanes and trajectories. The files are those of public bug reports.
+
+use std::path::Path;
+
+use super::tests::{ROAD, TIME, file, lane_change, same_lane, speed_action};
+use super::{OpenScenarioSource, ParameterDistributionFile};
+use crumple_sim::scenario::{Driver, LaneChange, LeadProfile, Scenario, VehicleSpec};
+
+/// Largest difference of a time from the right one, in seconds: one step.
+const STEP_S: f64 = 0.01;
+
+fn import_case(name: &str) -> Result<(Scenario, Vec<String>), String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../corpora/openscenario");
+    let source = OpenScenarioSource::load(&folder.join(name));
+    let imported = source.and_then(|source| source.scenario(None, &[]));
+    imported
+        .map(|imported| (imported.scenario, imported.notes))
+        .map_err(|error| error.to_string())
+}
+
+fn import(text: &str) -> Result<(Scenario, Vec<String>), String> {
+    let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes());
+    let imported = source.and_then(|source| source.scenario(None, &[]));
+    imported
+        .map(|imported| (imported.scenario, imported.notes))
+        .map_err(|error| error.to_string())
+}
+
+fn time_s(change: Option<LaneChange>) -> f64 {
+    match change {
+        Some(LaneChange::At(time_s)) => time_s,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn assert_near(found_s: f64, expected_s: f64) {
+    assert!(
+        (found_s - expected_s).abs() <= STEP_S,
+        "{found_s}, not {expected_s}"
+    );
+}
+
+fn scripted(scenario: &Scenario) -> Vec<&VehicleSpec> {
+    let vehicles = scenario.vehicles().iter();
+    vehicles
+        .filter(|vehicle| vehicle.driver != Driver::UnderTest)
+        .collect()
+}
+
+#[test]
+fn files_of_bug_reports_have_the_motion_that_the_standard_states() {
+    for name in [
+        "lane-change-interrupted/s.xosc",
+        "left-carriageway/s.xosc",
+        "override-other-domain/s2.xosc",
+    ] {
+        let error = import_case(name).expect_err(name);
+        assert!(
+            error.contains("`Lead` is never in the lane of the vehicle under test"),
+            "{name}: {error}"
+        );
+    }
+    let (scenario, _) = import_case("override-other-domain/s.xosc").unwrap();
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &scripted(&scenario)[0].driver else {
+        panic!("{scenario:?}")
+    };
+    assert_eq!(
+        (brake.onset_s, brake.rate_mps2, brake.final_speed_mps),
+        (2.0, 2.0, 16.0)
+    );
+    // The body of 1.8 m leaves the lane of 3.5 m after 2.65 m of 3.5 m in 2 s.
+    assert_near(
+        time_s(scripted(&scenario)[0].leaves),
+        4.0 + 2.0 * 2.65 / 3.5,
+    );
+
+    let (scenario, notes) = import_case("through-the-lane/s.xosc").unwrap();
+    let [first, second] = scripted(&scenario)[..] else {
+        panic!("{scenario:?}")
+    };
+    assert_near(time_s(first.leaves), 1.0 + 2.0 * 2.65 / 3.5);
+    assert_near(time_s(second.enters), 8.0 + 6.0 * 0.85 / 7.0);
+    assert_near(time_s(second.leaves), 8.0 + 6.0 * 6.15 / 7.0);
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("in the lane 2 times"))
+    );
+
+    let (scenario, notes) = import_case("trajectory-sawtooth/s.xosc").unwrap();
+    let Driver::Profile(LeadProfile::Recorded(recorded)) = &scripted(&scenario)[0].driver else {
+        panic!("{scenario:?}")
+    };
+    for step in 0..1500 {
+        let time_s = 0.01 * f64::from(step);
+        let expected_mps = if time_s < 4.0 { 20.0 } else { 18.0 };
+        let speed_mps = recorded.speed_at_mps(time_s);
+        let is_near = (speed_mps - expected_mps).abs() < 0.01;
+        assert!(
+            is_near || (time_s - 4.0).abs() < 0.11,
+            "{time_s}: {speed_mps}"
+        );
+    }
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("up to 0.05 m from the polyline")),
+        "{notes:?}"
+    );
+}
+
+/// Returns the first scripted vehicle with a length.
+fn of_length(scenario: &Scenario, length_m: f64) -> VehicleSpec {
+    let mut vehicles = scripted(scenario).into_iter();
+    let own = vehicles.find(|vehicle| vehicle.length_m == Some(length_m));
+    own.expect("a vehicle of this length").clone()
+}
+
+/// Returns the speed of a scripted vehicle at a time.
+fn scripted_mps(vehicle: &VehicleSpec, time_s: f64) -> f64 {
+    match &vehicle.driver {
+        Driver::Profile(LeadProfile::ConstantSpeed) => vehicle.speed_mps,
+        Driver::Profile(LeadProfile::Recorded(recorded)) => recorded.speed_at_mps(time_s),
+        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => {
+            let braked_mps = brake.rate_mps2 * (time_s - brake.onset_s).max(0.0);
+            (vehicle.speed_mps - braked_mps).max(brake.final_speed_mps)
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Checks that a vehicle has the speeds that are linear between pairs of a time and a speed.
+fn assert_speeds(name: &str, vehicle: &VehicleSpec, knots: &[(f64, f64)], tolerance_mps: f64) {
+    for pair in knots.windows(2) {
+        let [(from_s, from_mps), (to_s, to_mps)] = [pair[0], pair[1]];
+        for share in [0.01, 0.25, 0.5, 0.75, 0.99] {
+            let time_s = from_s + share * (to_s - from_s);
+            let expected_mps = from_mps + share * (to_mps - from_mps);
+            let found_mps = scripted_mps(vehicle, time_s);
+            assert!(
+                (found_mps - expected_mps).abs() <= tolerance_mps,
+                "{name} at {time_s} s: {found_mps} m/s, not {expected_mps}"
+            );
+        }
+    }
+}
+
+/// Returns the speeds of a vehicle that brakes at 2 m/s² from 20 to 10 m/s.
+fn brakes_at(start_s: f64) -> Vec<(f64, f64)> {
+    vec![
+        (0.0, 20.0),
+        (start_s, 20.0),
+        (start_s + 5.0, 10.0),
+        (14.0, 10.0),
+    ]
+}
+
+/// Returns files, and the speeds of their vehicle of 4.2 m at times, between which they are linear.
+fn files_for_clauses() -> Vec<(&'static str, Vec<(f64, f64)>)> {
+    // From front bumper to rear bumper, beside the distance of the reference points.
+    let bodies_m = 4.1 / 3.0 + 4.1 / 2.0 + 4.2 / 2.0 - 4.2 / 3.0;
+    let straight_s = (40.0 - bodies_m - f64::sqrt(400.0 - 1.7 * 1.7)) / 2.0;
+    let leaves_s = 1.0 + 4.0 * 2.65 / 3.5;
+    let knots = |inner: &[(f64, f64)]| [&[(0.0, 20.0)][..], inner].concat();
+    vec![
+        ("continuous-offset", knots(&[(14.0, 20.0)])),
+        (
+            "followed-speed",
+            knots(&[(1.0, 20.0), (3.5, 15.0), (5.0, 15.0), (7.5, 10.0)]),
+        ),
+        (
+            "stand-still",
+            knots(&[(1.0, 20.0), (5.0, 0.0), (6.5, 0.0), (11.5, 10.0)]),
+        ),
+        ("value-set", brakes_at(2.0)),
+        // The scenario begins at 3 s, and the vehicle brakes 1 s later.
+        ("activation-lateral", brakes_at(1.0)),
+        (
+            "init-profile",
+            knots(&[(2.0, 16.0), (5.0, 16.0), (7.0, 20.0), (14.0, 20.0)]),
+        ),
+        ("straight-distance", brakes_at(straight_s)),
+        ("lateral-distance", brakes_at(leaves_s)),
+    ]
+}
+
+#[test]
+fn files_for_clauses_have_the_motion_that_the_standard_states() {
+    for (name, knots) in files_for_clauses() {
+        let (scenario, _) = import_case(&format!("clauses/{name}.xosc")).expect(name);
+        // A millisecond at 5 m/s².
+        assert_speeds(name, &of_length(&scenario, 4.2), &knots, 0.005);
+    }
+    let (scenario, _) = import_case("clauses/init-lane-change.xosc").unwrap();
+    let vehicle = of_length(&scenario, 4.2);
+    assert_near(time_s(vehicle.enters), 4.0 * 0.85 / 3.5);
+    assert_near(time_s(vehicle.leaves), 2.0 + 2.0 * 0.9 / 1.75);
+}
+
+#[test]
+fn a_range_with_too_many_values_is_refused_for_that_reason() {
+    for (width, reason) in [
+        ("0.001", "has 19001 values, and 10000 are allowed"),
+        ("0", "stepWidth = 0 does not lead from 1 to 20"),
+        ("-1", "stepWidth = -1 does not lead from 1 to 20"),
+    ] {
+        let text = format!(
+            r#"<OpenSCENARIO><FileHeader/><ParameterValueDistribution><ScenarioFile filepath="f.xosc"/><Deterministic>
+            <DeterministicSingleParameterDistribution parameterName="v"><DistributionRange stepWidth="{width}">
+            <Range lowerLimit="1" upperLimit="20"/></DistributionRange></DeterministicSingleParameterDistribution>
+            </Deterministic></ParameterValueDistribution></OpenSCENARIO>"#
+        );
+        let error = ParameterDistributionFile::from_bytes(text.as_bytes()).expect_err(width);
+        assert!(error.to_string().contains(reason), "{width}: {error}");
+    }
+}
+
+#[test]
+fn files_for_clauses_are_refused_for_the_right_reason() {
+    for (name, reason) in [
+        (
+            "followed-offset",
+            "follows the lateral position of an entity that changes",
+        ),
+        (
+            "trajectory-catalogue",
+            "trajectories of catalogues are not supported",
+        ),
+        (
+            "collision-with-position",
+            "is not supported as a target, only EntityRef",
+        ),
+    ] {
+        let error = import_case(&format!("clauses/{name}.xosc")).expect_err(name);
+        assert!(error.contains(reason), "{name}: {error}");
+        assert!(error.contains(&format!("{name}.xosc:")), "{error}");
+    }
+}
+
+/// A recorded vehicle brakes at 3 m/s² from 20 to 8 m/s and to standstill, and its positions have one decimal.
+#[test]
+fn positions_with_one_decimal_do_not_become_hard_braking() {
+    let (scenario, notes) = import_case("clauses/recording-one-decimal.xosc").unwrap();
+    let vehicle = of_length(&scenario, 4.2);
+    let lowest_mps2 = (0..1800)
+        .map(|step| 0.01 * f64::from(step))
+        .map(|time_s| {
+            100.0 * (scripted_mps(&vehicle, time_s + 0.01) - scripted_mps(&vehicle, time_s))
+        })
+        .fold(0.0, f64::min);
+    assert!(lowest_mps2 > -3.6, "{lowest_mps2}");
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("m from the polyline")),
+        "{notes:?}"
+    );
+}
+
+/// Returns a file in which `other` brakes at 2 s, and a second event of the same maneuver that starts on `condition`.
+fn two_events(priority: &str, action: &str, condition: &str) -> String {
+    let brake = speed_action("linear", "rate", "2", 4.0);
+    let text = file(same_lane(), &brake, TIME).replace(
+        "delay=\"0.5\" conditionEdge=\"rising\"",
+        "delay=\"0\" conditionEdge=\"none\"",
+    );
+    let second = format!(
+        r#"<Event name="second" priority="{priority}" maximumExecutionCount="1"><Action name="act2">
+<PrivateAction>{action}</PrivateAction></Action><StartTrigger><ConditionGroup>
+<Condition name="c" delay="0" conditionEdge="none">
+<ByValueCondition>{condition}</ByValueCondition></Condition></ConditionGroup></StartTrigger></Event></Maneuver>"#
+    );
+    let stop = r#"<SimulationTimeCondition value="30" rule="greaterThan"/>"#;
+    let start = text.find("<StoryboardElementStateCondition").unwrap();
+    let end = start + text[start..].find("/>").unwrap() + 2;
+    format!("{}{stop}{}", &text[..start], &text[end..]).replace("</Maneuver>", &second)
+}
+
+fn state(reference: &str, state: &str) -> String {
+    let kind = if reference.ends_with("act") {
+        "action"
+    } else {
+        "event"
+    };
+    format!(
+        r#"<StoryboardElementStateCondition storyboardElementType="{kind}" storyboardElementRef="{reference}"
+state="{state}"/>"#
+    )
+}
+
+fn after(time_s: f64) -> String {
+    format!(r#"<SimulationTimeCondition value="{time_s}" rule="greaterOrEqual"/>"#)
+}
+
+/// Returns the speed of `other` at a time.
+fn speed_mps(text: &str, time_s: f64) -> f64 {
+    let (scenario, _) = import(text).unwrap_or_else(|error| panic!("{error}"));
+    let vehicle = scripted(&scenario)[0];
+    match &vehicle.driver {
+        Driver::Profile(LeadProfile::ConstantSpeed) => vehicle.speed_mps,
+        Driver::Profile(LeadProfile::Recorded(recorded)) => recorded.speed_at_mps(time_s),
+        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => {
+            let braked_s = (time_s - brake.onset_s).max(0.0);
+            (vehicle.speed_mps - brake.rate_mps2 * braked_s).max(brake.final_speed_mps)
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// 8.4.2.2: `override` stops the running events of the maneuver, `parallel` does not, and `skip` does not start.
+#[test]
+fn priorities_stop_or_keep_the_running_events() {
+    let out = lane_change("-2");
+    assert_eq!(
+        speed_mps(&two_events("override", &out, &after(4.0)), 6.0),
+        16.0
+    );
+    assert_eq!(
+        speed_mps(&two_events("overwrite", &out, &after(4.0)), 6.0),
+        16.0
+    );
+    assert_eq!(
+        speed_mps(&two_events("parallel", &out, &after(4.0)), 6.0),
+        12.0
+    );
+    assert_eq!(speed_mps(&two_events("skip", &out, &after(4.0)), 6.0), 12.0);
+    // 7.5.1: an action of the same domain replaces the running one, whatever the priority.
+    let faster = speed_action("linear", "rate", "1", 20.0);
+    assert_eq!(
+        speed_mps(&two_events("parallel", &faster, &after(4.0)), 6.0),
+        18.0
+    );
+    assert_eq!(
+        speed_mps(&two_events("skip", &faster, &after(4.0)), 6.0),
+        12.0
+    );
+}
+
+/// 8.1: transitions are visible for one step, states as long as they last.
+#[test]
+fn transitions_are_true_for_one_step_and_states_while_they_last() {
+    let faster = speed_action("linear", "rate", "1", 20.0);
+    // Braking takes from 2 to 10 s.
+    let later = |condition: String, time_s: f64| {
+        let both = format!(
+            "{condition}</ByValueCondition></Condition><Condition name=\"d\" delay=\"0\" \
+             conditionEdge=\"none\"><ByValueCondition>{}",
+            after(time_s)
+        );
+        speed_mps(&two_events("parallel", &faster, &both), 14.0)
+    };
+    assert_eq!(later(state("e", "endTransition"), 0.0), 8.0);
+    assert_eq!(
+        later(state("e", "endTransition"), 10.5),
+        4.0,
+        "the transition is over"
+    );
+    assert_eq!(later(state("e", "startTransition"), 5.0), 4.0);
+    assert_eq!(
+        later(state("e", "completeState"), 12.0),
+        6.0,
+        "the state lasts"
+    );
+    assert_eq!(
+        later(state("e", "runningState"), 12.0),
+        4.0,
+        "the element does not run"
+    );
+    assert_eq!(later(state("e", "runningState"), 8.0), 14.0);
+    assert_eq!(later(state("e", "stopTransition"), 0.0), 4.0);
+}
+
+#[test]
+fn references_are_resolved_by_their_path_and_ambiguous_ones_are_refused() {
+    let faster = speed_action("linear", "rate", "1", 20.0);
+    let speed_of = |reference: &str| {
+        speed_mps(
+            &two_events("parallel", &faster, &state(reference, "endTransition")),
+            12.0,
+        )
+    };
+    assert_eq!(speed_of("s::a::g::m::e"), 6.0);
+    assert_eq!(speed_of("m::e"), 6.0);
+    assert_eq!(speed_of("m::e::act"), 6.0);
+    for (reference, problem) in [
+        ("other::e", "there is no event `other::e` in the stories"),
+        ("e", "there are several elements `e` of the kind event"),
+    ] {
+        let text = two_events("parallel", &faster, &state(reference, "endTransition"));
+        let text = if reference == "e" {
+            text.replace("<Event name=\"second\"", "<Event name=\"e\"")
+        } else {
+            text
+        };
+        let error = import(&text).expect_err(reference);
+        assert!(error.contains(problem), "{error}");
+    }
+}
+
+#[test]
+fn lane_changes_over_a_distance_follow_the_speed() {
+    // From 2 s on, the vehicle needs 35 m: at 2 m/s², from 20 m/s, 2 * (1 - sqrt(1 - 0.35)) * 5 s.
+    let change = lane_change("-2").replace("\"time\"\nvalue=\"3.5\"", "\"distance\"\nvalue=\"35\"");
+    let text = two_events("parallel", &change, &after(2.0));
+    let (scenario, _) = import(&text).unwrap();
+    // The side of the body of 1.5 m has left the lane after 2.5 of 3.5 m, 25 m on.
+    let passed_s = (20.0 - (400.0 - 4.0 * 25.0_f64).sqrt()) / 2.0;
+    assert_near(time_s(scripted(&scenario)[0].leaves), 2.0 + passed_s);
+}
+
+#[test]
+fn content_of_other_tools_becomes_notes() {
+    let text = two_events("parallel", &lane_change("-2"), &after(4.0));
+    for (old, new, expected) in [
+        (
+            "<Axles/>",
+            "<Axles/><TrailerHitch dx=\"-1\"/><Trailer><TrailerRef entityRef=\"x\"/></Trailer>",
+            "TrailerRef: has no influence: vehicles have no trailers",
+        ),
+        (
+            "f.xodr",
+            "g.xodr",
+            "LogicFile: is missing: the road is straight",
+        ),
+        (
+            "<SpeedActionDynamics dynamicsShape=\"linear\" dynamicsDimension=\"rate\"\nvalue=\"2\"",
+            "<SpeedActionDynamics dynamicsShape=\"linear\" dynamicsDimension=\"rate\"\nvalue=\"0\"",
+            "at a rate of 0 the speed never changes",
+        ),
+        (
+            "<SpeedActionDynamics dynamicsShape=\"linear\" dynamicsDimension=\"rate\"\nvalue=\"2\"",
+            "<SpeedActionDynamics dynamicsShape=\"linear\" dynamicsDimension=\"rate\"\nvalue=\"-20\"",
+            "the rate is limited to what the vehicle can drive: 8.0 m/s² of braking",
+        ),
+    ] {
+        let changed = text.replace(old, new);
+        assert_ne!(changed, text, "{old}");
+        let changed = if old == "f.xodr" {
+            let world = "<WorldPosition x=\"110\" y=\"-1.75\"/>";
+            changed.replace(
+                world,
+                "<LanePosition roadId=\"7\" laneId=\"-1\" s=\"100\"/>",
+            )
+        } else {
+            changed
+        };
+        let (_, notes) = import(&changed).unwrap_or_else(|error| panic!("{error}"));
+        let has_note = notes.iter().any(|note| note.contains(expected));
+        assert!(has_note, "{expected}: {notes:?}");
+    }
+    let story = "<Story name=\"s\"><ParameterDeclarations><ParameterDeclaration name=\"rate2\" \
+                 parameterType=\"double\" value=\"${pi / 2}\"/></ParameterDeclarations>";
+    let scoped = text.replace("<Story name=\"s\">", story).replace(
+        "dynamicsDimension=\"rate\"\nvalue=\"2\"",
+        "dynamicsDimension=\"rate\"\nvalue=\"$rate2\"",
+    );
+    let expected_mps = 20.0 - 2.0 * std::f64::consts::FRAC_PI_2;
+    assert!((speed_mps(&scoped, 4.0) - expected_mps).abs() < 1e-9);
+}
+
+#[test]
+fn variables_can_change_and_start_events() {
+    let declared = "<CatalogLocations/><VariableDeclarations><VariableDeclaration name=\"n\" variableType=\"double\" \
+                    value=\"1\"/></VariableDeclarations>";
+    let condition = "<VariableCondition variableRef=\"n\" rule=\"greaterOrEqual\" value=\"3\"/>";
+    let text = two_events("override", &lane_change("-2"), condition);
+    let change = "<Action name=\"v\"><GlobalAction><VariableAction variableRef=\"n\"><ModifyAction><Rule><AddValue \
+                  value=\"2\"/></Rule></ModifyAction></VariableAction></GlobalAction></Action>";
+    let text = text.replace("<CatalogLocations/>", declared).replacen(
+        "<Event name=\"e\" priority=\"override\">",
+        &format!("<Event name=\"e\" priority=\"override\">{change}"),
+        1,
+    );
+    // The variable is 3 when the braking begins at 2 s, which the lane change ends at once.
+    assert_eq!(speed_mps(&text, 10.0), 20.0);
+}
+
+/// 8.4.2.2: each step in which the trigger is true counts as one execution.
+#[test]
+fn a_skipped_event_counts_one_execution_in_a_step() {
+    let faster = speed_action("linear", "rate", "1", 20.0);
+    // The event is skipped from 4 s on, 50 times.
+    let skipped = two_events("skip", &faster, &after(4.0)).replace(
+        "priority=\"skip\" maximumExecutionCount=\"1\"",
+        "priority=\"skip\" maximumExecutionCount=\"50\"",
+    );
+    let third = format!(
+        r#"</Event><Event name="third" priority="override"><Action name="x"><PrivateAction>{}</PrivateAction></Action>
+<StartTrigger><ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByValueCondition>{}</ByValueCondition>
+</Condition></ConditionGroup></StartTrigger></Event></Maneuver>"#,
+        lane_change("-2"),
+        state("second", "completeState")
+    );
+    let text = skipped.replace("</Event></Maneuver>", &third);
+    // The third event stops the braking at 2 m/s² after 49 further steps.
+    let stopped_mps = speed_mps(&text, 8.0);
+    assert!(
+        (stopped_mps - (20.0 - 2.0 * 2.49)).abs() <= 2.1 * STEP_S,
+        "{stopped_mps}"
+    );
+}
+
+/// The delay of a further execution begins when the one before has ended.
+#[test]
+fn a_delay_of_a_repeated_event_is_not_shorter() {
+    let text = two_events(
+        "parallel",
+        &speed_action("linear", "time", "0.503", 19.0),
+        &after(20.0),
+    );
+    let repeated = text
+        .replace(
+            "name=\"e\" priority=\"override\"",
+            "name=\"e\" priority=\"override\" maximumExecutionCount=\"2\"",
+        )
+        .replacen("delay=\"0\" conditionEdge=\"none\"", "delay=\"0.5\" conditionEdge=\"none\"", 1)
+        .replace(
+            "<AbsoluteTargetSpeed value=\"4\"/>",
+            "<RelativeTargetSpeed entityRef=\"other\" value=\"-8\" speedTargetValueType=\"delta\"/>",
+        );
+    // Braking from 2.5 to 6.5 s; the next one from 7 s on.
+    assert!((speed_mps(&repeated, 6.99) - 12.0).abs() < 1e-9);
+    assert!((speed_mps(&repeated, 8.0) - 10.0).abs() < 1e-6);
+}
+
+/// Returns the file with a trajectory of `other` in `Init` instead of its position.
+fn with_initial_trajectory(text: &str, vertices: &[(f64, f64, f64)], timing: &str) -> String {
+    let vertices: String = vertices
+        .iter()
+        .map(|(time_s, s_m, offset_m)| {
+            format!(
+                r#"<Vertex time="{time_s}"><Position>
+<LanePosition roadId="7" laneId="-1" s="{s_m}" offset="{offset_m}"/></Position></Vertex>"#
+            )
+        })
+        .collect();
+    let trajectory = format!(
+        r#"<RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false"><Shape><Polyline>
+{vertices}</Polyline></Shape></Trajectory></TrajectoryRef><TimeReference>{timing}</TimeReference>
+<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction>"#
+    );
+    let position = format!(
+        "<TeleportAction><Position>{}</Position>\n</TeleportAction>",
+        same_lane()
+    );
+    let changed = text.replace(&position, &trajectory);
+    assert_ne!(changed, text);
+    changed
+}
+
+/// A trajectory without times leads the vehicle aside at its own speed, here braking from 2 s on.
+#[test]
+fn a_trajectory_without_times_follows_the_speed() {
+    let text = two_events("parallel", &lane_change("-1"), &after(20.0));
+    let vertices = [
+        (0.0, 140.0, 0.0),
+        (0.0, 190.0, 0.0),
+        (0.0, 225.0, -3.5),
+        (0.0, 400.0, -3.5),
+    ];
+    let text = with_initial_trajectory(&text, &vertices, "<None/>");
+    let (scenario, notes) = import(&text).unwrap();
+    // 25 m after the second vertex, the side of the body of 1.5 m has left the lane: 75 m from the start.
+    let passed_s = (20.0 - (400.0 - 4.0 * 35.0_f64).sqrt()) / 2.0;
+    assert_near(time_s(scripted(&scenario)[0].leaves), 2.0 + passed_s);
+    assert_eq!(speed_mps(&text, 4.0), 16.0);
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("up to 0.17 m farther")),
+        "{notes:?}"
+    );
+}
+
+/// An action of the speed stops a trajectory of `Init` with times, and the vehicle keeps its lateral position.
+#[test]
+fn a_trajectory_of_the_start_is_stopped_by_an_action() {
+    let text = two_events("parallel", &lane_change("-1"), &after(20.0));
+    let timing = r#"<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>"#;
+    let vertices = [(0.0, 140.0, 0.0), (1.0, 160.0, 0.0), (9.0, 320.0, -2.8)];
+    let text = with_initial_trajectory(&text, &vertices, timing);
+    let (scenario, _) = import(&text).unwrap();
+    assert_eq!(scripted(&scenario)[0].leaves, None);
+    assert!((speed_mps(&text, 4.0) - 16.0).abs() < 1e-9);
+}
+
+/// A change by time that is faster than the vehicle takes as long as the vehicle needs.
+#[test]
+fn a_change_by_time_stays_within_the_limits() {
+    let faster = speed_action("linear", "time", "1", 40.0);
+    let text = two_events("override", &faster, &after(4.0));
+    let (_, notes) = import(&text).unwrap();
+    let expected = "the change takes 4.80 s, because its rate is limited to what the vehicle can drive: 8.0 m/s²";
+    let has_note = notes.iter().any(|note| note.contains(expected));
+    assert!(has_note, "{notes:?}");
+    assert!((speed_mps(&text, 6.0) - 26.0).abs() < 1e-9);
+}
+
+/// Without any road, the vehicles drive in the direction of the first one.
+#[test]
+fn vehicles_without_a_road_drive_along_the_first_one() {
+    let text = two_events(
+        "parallel",
+        &speed_action("linear", "rate", "1", 20.0),
+        &after(4.0),
+    )
+    .replace("<LogicFile filepath=\"f.xodr\"/>", "")
+    .replace(
+        "<WorldPosition x=\"110\" y=\"-1.75\"/>",
+        "<WorldPosition x=\"5\" y=\"7\" h=\"1\"/>",
+    )
+    .replace(
+        same_lane(),
+        "<RelativeObjectPosition entityRef=\"ego\" dx=\"30\" dy=\"0\"/>",
+    );
+    let (scenario, notes) = import(&text).unwrap();
+    let [lead, ego] = scenario.vehicles() else {
+        panic!("{scenario:?}")
+    };
+    assert!((lead.position_m - ego.position_m - 30.0).abs() < 1e-6);
+    assert!(
+        notes
+            .iter()
+            .any(|note| note.contains("through the first position")),
+        "{notes:?}"
+    );
+}

@@ -1,0 +1,294 @@
+//! The report states the same as the commands, whose text is `to_text` of a result of the libraries. Each test computes
+//! such a result apart from the assessment, and looks for the statements of the one in the text of the other.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::*;
+use crate::assessment::{
+    AssessConfig, AssessmentReport, EvidenceCache, SearchConfig, SuiteConfig, assess,
+};
+use crate::suite::render_text;
+use crumple_controllers::{Controllers, find_for_user};
+use crumple_core::observer::Quiet;
+use crumple_evidence::drives::DriveSet;
+use crumple_evidence::{CertificateReport, DriveReport, report_text};
+use crumple_search::falsify::campaign::Campaign;
+use crumple_search::worst_case::{AvoidOptions, AvoidReport, avoid};
+use crumple_sim::engine::{NamedController, RunOptions};
+use crumple_sim::observation::EstimatorKind;
+use crumple_sim::scenario::{
+    Driver, LeadProfile, NoDriverFiles, RecordedMotion, RecordedSpeeds, Scenario, ScenarioSpec,
+    VehicleClass, VehicleSpec, built_in_scenario, file,
+};
+use crumple_spaces::built_in_space;
+use crumple_store::study::Study;
+use crumple_suites::TestSuite;
+use crumple_verify::Certificate;
+
+/// Returns a configuration that asks for nothing.
+fn nothing(controllers: &[&str]) -> AssessConfig {
+    AssessConfig {
+        controllers: controllers.iter().map(|&name| name.to_owned()).collect(),
+        gates: Vec::new(),
+        paper: false,
+        draws: 0,
+        everyday_draws: 0,
+        distributions: Some(Vec::new()),
+        certificates: Some(Vec::new()),
+        search: SearchConfig {
+            spaces: Some(Vec::new()),
+            ..SearchConfig::default()
+        },
+        ..AssessConfig::default()
+    }
+}
+
+fn report(config: AssessConfig, folder: &Path) -> AssessmentReport {
+    let plan = AssessmentPlan::new(config, [], folder).unwrap();
+    assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap()
+}
+
+fn controller(name: &str) -> NamedController {
+    find_for_user(name, Path::new("")).unwrap()
+}
+
+/// Returns a section of the Markdown, as a reader sees it: without escapes.
+fn section(report: &AssessmentReport, title: &str) -> String {
+    let markdown = report.to_markdown().replace('\\', "");
+    let begin = markdown.find(&format!("## {title}\n")).expect(title);
+    let rest = &markdown[begin + 3..];
+    let end = rest.find("\n## ").unwrap_or(rest.len());
+    rest[..end].to_owned()
+}
+
+/// Returns the cells of the rows about a controller, without their marks.
+fn cells<'a>(section: &'a str, name: &str) -> Vec<&'a str> {
+    let begin = format!("| {name} |");
+    let rows = section.lines().filter(|line| line.starts_with(&begin));
+    let cells = rows.flat_map(|row| row.split('|'));
+    let cells = cells.map(|cell| cell.trim().trim_start_matches(['✓', '✗']).trim());
+    cells
+        .filter(|cell| !["", "–", name].contains(cell))
+        .collect()
+}
+
+fn assert_states(text: &str, statement: &str) {
+    assert!(text.contains(statement), "`{statement}` is not in:\n{text}");
+}
+
+/// Returns a drive behind a leader that slows down; the driver behind repeats the recorded 20 m/s.
+fn drive(name: &str, then_mps: f64) -> Scenario {
+    let profile = |speed_mps: [f64; 4]| {
+        Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
+            time_s: vec![0.0, 20.0, 22.0, 60.0],
+            speed_mps: speed_mps.into(),
+        }))
+    };
+    let vehicle =
+        |position_m, driver| VehicleSpec::new(VehicleClass::Light, position_m, 20.0, driver);
+    let mut tested = vehicle(32.0, Driver::UnderTest);
+    tested.recorded = Some(Box::new(RecordedMotion {
+        interval_s: 0.1,
+        gap_m: vec![30.0; 600],
+        speed_mps: (0..600)
+            .map(|step| if step == 599 { then_mps } else { 20.0 })
+            .collect(),
+    }));
+    let vehicles = vec![
+        vehicle(64.0, profile([20.0, 20.0, then_mps, then_mps])),
+        tested,
+        vehicle(0.0, profile([20.0; 4])),
+    ];
+    Scenario::new(ScenarioSpec::new(name.to_owned(), 60.0, vehicles)).unwrap()
+}
+
+#[test]
+fn recorded_drives_are_those_of_the_drive_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let drives = folder.path().join("drives");
+    fs::create_dir(&drives).unwrap();
+    for (name, then_mps) in [("slow", 4.0), ("steady", 19.0)] {
+        let text = file::to_toml(&drive(name, then_mps)).unwrap();
+        fs::write(drives.join(format!("{name}.toml")), text).unwrap();
+    }
+    let names = ["baseline", "idm"];
+    let config = AssessConfig {
+        drives: Some(PathBuf::from("drives")),
+        ..nothing(&names)
+    };
+    let section = section(&report(config, folder.path()), "Recorded drives");
+    let set = DriveSet::load(&drives, &NoDriverFiles).unwrap();
+    for name in names {
+        let options =
+            RunOptions::new(controller(name).source).with_estimator(EstimatorKind::default());
+        let runs = set.run(&options, &Quiet).unwrap();
+        let text = DriveReport::new(name, &runs, &set).to_text();
+        let shown = cells(&section, name);
+        assert!(shown.len() > 8, "{section}");
+        for cell in shown.into_iter().chain(cells(&section, "recorded cars")) {
+            assert_states(&text, cell);
+        }
+    }
+}
+
+#[test]
+fn escapes_and_certificates_are_those_of_avoid_and_check() {
+    let config = AssessConfig {
+        paper: true,
+        ..nothing(&["idm"])
+    };
+    let report = report(config, Path::new(""));
+    let paper = section(&report, "The paper's scenarios");
+    let scenarios = &report.results.paper_scenarios.as_ref().unwrap().scenarios;
+    for cases in scenarios {
+        let scenario = built_in_scenario(&cases.scenario).unwrap();
+        let options = AvoidOptions {
+            certify_bound: true,
+            ..AvoidOptions::default()
+        };
+        let avoidance = avoid(&scenario, options).unwrap();
+        let text = AvoidReport::new(&scenario, &avoidance).to_text();
+        let begin = paper.find(&format!("### {}\n", cases.scenario)).unwrap();
+        let own = &paper[begin..];
+        let own = &own[..own[4..].find("\n### ").map_or(own.len(), |end| end + 4)];
+        let mut compared = 0;
+        for (printed, reported) in [
+            (
+                "smallest gap of the escape ",
+                "smallest gap of the best escape found ",
+            ),
+            ("no driver keeps more than ", "no driver keeps more than "),
+            (
+                "the follower's emergency brake fires at ",
+                "the follower's emergency brake fires at ",
+            ),
+        ] {
+            for line in text
+                .lines()
+                .filter_map(|line| line.trim().strip_prefix(printed))
+            {
+                let quantity = line.split(',').next().unwrap_or_default();
+                assert_states(own, &format!("{reported}{quantity}"));
+                compared += 1;
+            }
+        }
+        assert!(compared >= 2, "{text}");
+    }
+    let proofs = section(&report, "Proofs");
+    let certificates = &report.results.proofs.certificates;
+    assert!(certificates.len() >= scenarios.len());
+    for proof in certificates {
+        let certificate = Certificate::from_json(&proof.text).unwrap();
+        let checked =
+            CertificateReport::new(proof.name.clone(), &certificate, Controllers::default());
+        let text = report_text(&[checked], None);
+        let shown = proof.status.describe();
+        assert_states(&text, &format!("{}: accepted: {shown}\n", proof.name));
+        assert_states(&proofs, &shown);
+        assert_states(&text, &format!(": {}\n", proof.sha256));
+        assert_states(&proofs, &proof.sha256);
+        for assumption in &proof.assumptions {
+            assert_states(&text, &format!("assuming that {assumption}\n"));
+            assert_states(&proofs, &assumption.to_string());
+        }
+    }
+}
+
+#[test]
+fn suites_are_those_of_the_suite_result() {
+    let shipped = TestSuite::shipped("un-r152").unwrap().unwrap();
+    let mut spec = shipped.spec().clone();
+    spec.name = "own".to_owned();
+    spec.clauses.truncate(1);
+    spec.clauses[0].tests.truncate(1);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("own.toml");
+    fs::write(&path, toml::to_string(&spec).unwrap()).unwrap();
+    let names = ["baseline", "idm"];
+    let config = AssessConfig {
+        suites: vec![SuiteConfig {
+            suite: "own.toml".to_owned(),
+            controllers: None,
+        }],
+        ..nothing(&names)
+    };
+    let report = report(config, folder.path());
+    let section = section(&report, "Tests modelled on regulations");
+    let suite = TestSuite::load(&path).unwrap();
+    let result =
+        crumple_suites::run(&suite, &names.map(controller), EstimatorKind::default()).unwrap();
+    let text = render_text(&result, |_, _| None);
+    let suites = report.results.suites.as_ref().unwrap();
+    let mut statements = vec![&suites.suites[0].parameter_source];
+    statements.extend(&suites.suites[0].not_modelled);
+    statements.extend(&suites.suites[0].omitted_parameters);
+    for outcome in suites.suites[0]
+        .tests
+        .iter()
+        .flat_map(|test| &test.outcomes)
+    {
+        // A test that passes at each stated point may fail within the tolerances, which the text states instead.
+        let fails_in_tolerance = outcome.verdict == "PASSED" && outcome.passed == Some(false);
+        statements.extend(Some(&outcome.verdict).filter(|_| !fails_in_tolerance));
+        statements.extend(&outcome.margins);
+        statements.extend(&outcome.worst_in_tolerance);
+        statements.extend(&outcome.warning);
+        let worst = outcome.worst.as_ref();
+        statements.extend(
+            worst
+                .into_iter()
+                .flat_map(|worst| [&worst.point, &worst.preventable]),
+        );
+    }
+    assert!(statements.len() > 6, "{statements:?}");
+    for statement in statements {
+        assert_states(&text, statement);
+        assert_states(&section, statement);
+    }
+}
+
+#[test]
+fn searches_are_those_of_the_campaign_summary() {
+    let config = AssessConfig {
+        search: SearchConfig {
+            spaces: Some(vec!["high-risk".to_owned()]),
+            budget: 60,
+        },
+        ..nothing(&["baseline"])
+    };
+    let report = report(config, Path::new(""));
+    let section = section(&report, "Counterexamples found by search");
+    let search = report.results.searches.spaces[0].find("baseline").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let campaign =
+        Campaign::new(controller("baseline"), built_in_space("high-risk").unwrap()).with_budget(60);
+    let summary = campaign.run(folder.path(), false, &Quiet).unwrap();
+    let text = summary.to_text();
+    let distinct = search.distinct_count() + search.collisions_of_others;
+    assert_states(&text, &format!("FALSIFIED: {distinct} distinct failure"));
+    for method in &search.methods {
+        let mut rows = text
+            .lines()
+            .map(|line| line.split_whitespace().collect::<Vec<_>>());
+        let row = rows.find(|row| row.first() == Some(&method.method.as_str()));
+        let row = row.unwrap_or_else(|| panic!("{}: {text}", method.method));
+        let failures = (method.failures + method.collisions_of_others).to_string();
+        assert_eq!(row[1], method.evaluations.to_string(), "{text}");
+        assert_eq!(row[3], failures, "{text}");
+    }
+    assert!(!search.failures.is_empty());
+    for failure in &search.failures {
+        let begin = text.find(failure.short_name()).unwrap();
+        let own: Vec<&str> = text[begin..].lines().take(6).collect();
+        assert_states(&section, failure.short_name());
+        for changed in &failure.changed {
+            assert_states(&own.join("\n"), changed);
+            assert_states(&section, changed);
+        }
+        if let Some(impact_mps) = failure.impact_speed_mps {
+            assert_states(own[1], &format!("{impact_mps} m/s"));
+            assert_states(&section, &format!("| {impact_mps} |"));
+        }
+    }
+}

@@ -1,0 +1,218 @@
+//! The configuration of a report as a file of its folder: every file that it names is in that folder, too.
+
+use std::path::{Path, PathBuf};
+
+use super::controller_arg::controller_arg;
+use super::gate_rules::{GateName, NameRole};
+use super::identity::CONFIGURATION_FILE;
+use super::parts::{Proofs, SCENARIO_FOLDER};
+use super::plan::{NamedSpace, file_stem};
+use super::planned_suite::PlannedSuite;
+use super::{
+    AssessConfig, AssessmentGate, AssessmentPlan, CacheError, CommandFile, CrumpleCommand,
+    GateConfig,
+};
+use crumple_sim::engine::NamedController;
+use crumple_suites::TestSuite;
+
+const HEAD: &str = "# The configuration of this report, with all defaults. In this folder:\n";
+
+impl AssessmentPlan {
+    /// Returns the configuration as a file of the report folder, whose paths lead into that folder.
+    ///
+    /// # Errors
+    /// [`CacheError::Encoding`] if it cannot be encoded.
+    pub(super) fn configuration_file(&self, proofs: &Proofs) -> Result<CommandFile, CacheError> {
+        let config = self.portable_config(proofs);
+        let text = toml::to_string(&config).map_err(CacheError::encoding)?;
+        let absent = self.files_outside_report(proofs);
+        let absent = if absent.is_empty() {
+            String::new()
+        } else {
+            format!("# It also needs: {}\n", absent.join("; "))
+        };
+        let command = self.repeat_command();
+        Ok(CommandFile {
+            file: CONFIGURATION_FILE.to_owned(),
+            contents: format!("{HEAD}# {command}\n{absent}\n{text}").into_bytes(),
+        })
+    }
+
+    /// Returns the command that repeats the assessment in the folder of its report.
+    pub(super) fn repeat_command(&self) -> CrumpleCommand {
+        let command = CrumpleCommand::new(["assess", CONFIGURATION_FILE, "--out", "../repeated"]);
+        if self.needs_earlier_assessment() {
+            command.with_args(["--against", "OLD.json"])
+        } else {
+            command
+        }
+    }
+
+    /// Returns what the configuration names and the report folder lacks, in words.
+    fn files_outside_report(&self, proofs: &Proofs) -> Vec<String> {
+        let controllers = self
+            .controllers_outside_report()
+            .map(|name| format!("the controller `{name}`"));
+        let drives = self.config.drives.as_deref().map(|folder| {
+            let name = folder_name(folder);
+            format!("the recorded drives, as the folder `{}`", name.display())
+        });
+        let given = self.certificates.iter().map(|given| given.name.as_str());
+        let rejected = given
+            .filter(|name| proofs.certificate_file(name).is_none())
+            .map(|name| format!("the certificate `{name}`, which the checker rejected"));
+        controllers.chain(drives).chain(rejected).collect()
+    }
+
+    /// Returns the names of the controllers whose files are not in the report folder.
+    pub(super) fn controllers_outside_report(&self) -> impl Iterator<Item = &str> {
+        self.controllers
+            .iter()
+            .filter(|controller| controller_arg(&*controller.source).is_none())
+            .map(|controller| controller.name.as_str())
+    }
+
+    fn portable_config(&self, proofs: &Proofs) -> AssessConfig {
+        let config = &self.config;
+        let mut controllers = self
+            .controllers
+            .iter()
+            .map(portable_name)
+            .collect::<Vec<_>>();
+        let subject = controllers.get(self.subject_index).cloned();
+        let mut seen: Vec<String> = Vec::new();
+        // Two controllers with the same files are one.
+        controllers.retain(|name| {
+            let is_new = !seen.contains(name);
+            seen.push(name.clone());
+            is_new
+        });
+        let mut suites = config.suites.clone();
+        for (suite, planned) in suites.iter_mut().zip(&self.suites) {
+            suite.suite = planned.to_arg();
+            for name in suite.controllers.iter_mut().flatten() {
+                self.make_controller_portable(name);
+            }
+        }
+        let mut portable = AssessConfig {
+            controllers,
+            subject,
+            distributions: Some(space_args(&self.rate_spaces)),
+            scenarios: self.portable_scenarios(),
+            recordings: Vec::new(),
+            drives: config.drives.as_deref().map(folder_name),
+            suites,
+            certificates: self.portable_certificates(proofs),
+            gates: self.portable_gates(),
+            ..config.clone()
+        };
+        portable.search.spaces = Some(space_args(&self.search_spaces));
+        portable
+    }
+
+    fn portable_scenarios(&self) -> Vec<PathBuf> {
+        let has_files = !self.file_scenarios.is_empty();
+        has_files
+            .then(|| PathBuf::from(SCENARIO_FOLDER))
+            .into_iter()
+            .collect()
+    }
+
+    /// Returns the paths of the given certificates that the checker accepted; `None` for the default ones.
+    fn portable_certificates(&self, proofs: &Proofs) -> Option<Vec<PathBuf>> {
+        self.config.certificates.as_ref()?;
+        let given = self.certificates.iter();
+        let files = given.filter_map(|given| proofs.certificate_file(&given.name));
+        Some(files.map(PathBuf::from).collect())
+    }
+
+    fn make_controller_portable(&self, name: &mut String) {
+        let mut controllers = self.controllers.iter();
+        if let Some(controller) = controllers.find(|controller| controller.name == *name) {
+            *name = portable_name(controller);
+        }
+    }
+
+    fn portable_gates(&self) -> Vec<GateConfig> {
+        let gates = self.config.gates.iter();
+        gates
+            .map(|config| GateConfig {
+                gate: self.portable_gate(&config.gate),
+                requirement: config.requirement.clone(),
+            })
+            .collect()
+    }
+
+    fn portable_gate(&self, gate: &AssessmentGate) -> AssessmentGate {
+        let mut gate = gate.clone();
+        for GateName { role, name, .. } in gate.names_mut() {
+            match role {
+                NameRole::Controller => self.make_controller_portable(name),
+                NameRole::Space => self.make_space_portable(name),
+                NameRole::Suite => self.make_suite_portable(name),
+            }
+        }
+        gate
+    }
+
+    fn make_space_portable(&self, name: &mut String) {
+        if let Some(space) = self.find_named_space(name) {
+            *name = space.to_arg();
+        }
+    }
+
+    fn make_suite_portable(&self, name: &mut String) {
+        let mut suites = self.suites.iter();
+        if let Some(planned) = suites.find(|planned| planned.config_name == *name) {
+            *name = planned.to_arg();
+        }
+    }
+
+    /// Returns the space with that name in the configuration.
+    pub(super) fn find_named_space(&self, name: &str) -> Option<&NamedSpace> {
+        let mut spaces = self.rate_spaces.iter().chain(&self.search_spaces);
+        spaces.find(|named| named.name == name)
+    }
+
+    /// Returns the suites that are not shipped, as files of the report folder.
+    pub(super) fn suite_files(&self) -> Result<Vec<CommandFile>, CacheError> {
+        let own = self.suites.iter().filter(|planned| !planned.is_shipped());
+        own.map(|planned| {
+            let text = toml::to_string(planned.suite.spec()).map_err(CacheError::encoding)?;
+            Ok(CommandFile {
+                file: planned.to_arg(),
+                contents: text.into_bytes(),
+            })
+        })
+        .collect()
+    }
+}
+
+impl PlannedSuite {
+    fn is_shipped(&self) -> bool {
+        TestSuite::shipped(&self.suite.spec().name).is_some()
+    }
+
+    /// Returns the name of a shipped suite, or the path of its file in the report folder.
+    fn to_arg(&self) -> String {
+        let name = &self.suite.spec().name;
+        if self.is_shipped() {
+            name.clone()
+        } else {
+            format!("suites/{}.toml", file_stem(name))
+        }
+    }
+}
+
+/// Returns the name with which a configuration in the report folder opens a controller.
+fn portable_name(controller: &NamedController) -> String {
+    controller_arg(&*controller.source).unwrap_or_else(|| controller.name.clone())
+}
+
+fn space_args(spaces: &[NamedSpace]) -> Vec<String> {
+    spaces.iter().map(NamedSpace::to_arg).collect()
+}
+
+fn folder_name(folder: &Path) -> PathBuf {
+    PathBuf::from(folder.file_name().unwrap_or(folder.as_os_str()))
+}

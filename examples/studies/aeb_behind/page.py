@@ -1,0 +1,286 @@
+"""The page of the study: its first part, tables, pictures and tables of comma-separated values."""
+
+import re
+import sys
+import textwrap
+
+from drives import FOLLOWERS, change, interval, level, quantile, weights
+from findings import (SPACE, all_answers, combinations, comparisons, compare, conforming_level, is_easy, number,
+                      relative_curve, systems_answers)
+from study import ADDED, ASSISTED, BRAKE, CONFORMING, HUMAN, NONE, QUESTIONS, SYSTEMS
+
+TITLE = "# Emergency braking and rear-end collisions"
+MAIN = ("hold", "kalman")
+Z = quantile(0.05)
+MAX_WORDS, MAX_COLUMNS = 2500, 6
+# Share of lorries among the vehicles behind in the tables, in percent: that of vehicle-miles in the United States.
+LORRY_PERCENT = 10
+LABELS = {NONE: "no brake", HUMAN: "human"}
+# Changes of striking and of being struck in the field, in percent.
+FIELD = next([round(100 * question[name]) for name in ("striking", "struck")]
+             for question in QUESTIONS["questions"] if question["kind"] == "field")
+# Largest half of an interval in the table of systems, in percent, which the page states.
+MAX_ERROR_PERCENT = 3
+SHOWN = [NONE, "emergency-brake", BRAKE, "emergency-brake,ttc_s=3",
+         *(name for name in SYSTEMS if name.startswith("car:")), "autoware-aeb", "openpilot", "acc-aeb", "idm",
+         "audi-a4-short", "audi-a4-long", *ADDED, HUMAN, ASSISTED, CONFORMING, "human,aeb_ttc_s=3"]
+
+
+def label(name):
+    """Returns the name of a system in plain words."""
+    settings = dict(part.split("=") for part in name.split(",")[1:])
+    if name in LABELS:
+        return LABELS[name]
+    if name.startswith("human,"):
+        return f"human + brake {settings['aeb_ttc_s']} s"
+    if name.startswith("emergency-brake"):
+        text = f"brake {settings.get('ttc_s', '1.4')} s"
+        return text + (f", {settings['brake_mps2']} m/s²" if "brake_mps2" in settings else "")
+    return f"`{name}`"
+
+
+def cell(bounds, is_signed=False, digits=1):
+    mean, low, high = (number(value, is_signed, digits) for value in bounds)
+    return f"{mean} ({low}…{high})"
+
+
+def table(columns, rows):
+    if len(columns) > MAX_COLUMNS:
+        sys.exit(f"error: a table has {len(columns)} columns")
+    lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
+    return "\n".join(lines + ["| " + " | ".join(map(str, row)) + " |" for row in rows])
+
+
+def systems_table(results, passing):
+    of, rows = weights(FOLLOWERS, LORRY_PERCENT), []
+    for name in SHOWN:
+        means = [level(results[after, "kalman"][SPACE, name], measure).mean(of)
+                 for after, measure in (("hold", "ahead"), ("hold", "behind"), ("coast", "behind"))]
+        if any(Z * error > MAX_ERROR_PERCENT for _, error in means):
+            sys.exit(f"error: the interval of {name} is wider than the page states")
+        rows.append((label(name), passing.get(name, "–"), *(number(mean, digits=0) for mean, _ in means)))
+    return table(["system", "passes S7", "hits the vehicle ahead, %", "hit from behind (hold), %",
+                  "hit from behind (coast), %"], rows)
+
+
+PAIRS = [(HUMAN, ASSISTED), (HUMAN, CONFORMING), (NONE, BRAKE)]
+
+
+def changed(part, of, pair, measure):
+    before, after = pair
+    return cell(interval(change(part[SPACE, after], part[SPACE, before], measure).mean(of), Z), True)
+
+
+def lorries_table(results):
+    part = results[MAIN]
+    rows = [(f"{percent} %", *(changed(part, weights(FOLLOWERS, percent), pair, measure)
+                               for pair, measure in ((PAIRS[1], "behind"), (PAIRS[1], "harm"), (PAIRS[2], "behind"),
+                                                     (PAIRS[2], "harm"))))
+            for percent in range(0, 51, 10)]
+    return table(["lorries behind", "human + brake 2 s: hit from behind", "human + brake 2 s: serious injuries",
+                  "brake 2 s: hit from behind", "brake 2 s: serious injuries"], rows)
+
+
+def followers_table(results):
+    rows = []
+    for follower in FOLLOWERS:
+        of, pair = weights([follower], LORRY_PERCENT), PAIRS[1]
+        rows.append((f"`{follower}`", *(changed(results[after, "kalman"], of, pair, measure)
+                                        for measure in ("behind", "harm") for after in ("hold", "coast"))))
+    return table(["type of follower", "hit from behind (hold)", "hit from behind (coast)", "serious injuries (hold)",
+                  "serious injuries (coast)"], rows)
+
+
+def easy_row(part):
+    """Returns the label of the emergencies that the tests resemble most, with their number."""
+    drives = part["followers-alone", HUMAN]
+    kinds = [drives.strata[place][1] for place in range(len(drives.strata)) if is_easy(drives, place)]
+    return f"100 %, dry, up to 80 km/h ({kinds.count('light')} emergencies, last column {len(kinds)})"
+
+
+def conforming_table(results):
+    part, rows = results[MAIN], []
+    kinds = [(f"{percent} %", percent, lambda *_: True) for percent in (0, 20, 40, 60, 80, 100)]
+    for name, percent, is_wanted in [*kinds, (easy_row(part), 100, is_easy)]:
+        means = [conforming_level(part, percent / 100, measure, weights(["human"], lorries), is_wanted)
+                 for measure, lorries in (("ahead", 0), ("behind", 0), ("any", 0), ("any", 50))]
+        values = [cell(interval(mean, Z)) for mean in means]
+        rows.append((name, *values))
+    return table(["cars with the brake", "hits the vehicle ahead, %", "hit from behind, %", "either, %",
+                  "either, half of the followers lorries, %"], rows)
+
+
+def field_table(results):
+    part, rows = results[MAIN], []
+    human, every = (relative_curve(part, weights(of, LORRY_PERCENT))[1:] for of in (["human"], FOLLOWERS))
+    for own, other in zip(human, every):
+        rows.append((f"{own[0]:g} s", *(number(100 * value, True, 0) for value in (*own[1:], *other[1:]))))
+    rows.append(("field (Cicchino 2017)", *(number(value, True, 0) for value in FIELD * 2)))
+    return table(["brake from", "human behind: striking, %", "human behind: struck, %",
+                  "four types behind: striking, %", "four types behind: struck, %"], rows)
+
+
+def field_picture(results):
+    """Returns the curves of striking and being struck over the threshold, as SVG."""
+    left, top, width, height = 70, 40, 480, 360
+    x = lambda value: left + width * value / 3
+    y = lambda value: top + height * (60 - value) / 160
+    out = ['<svg xmlns="http://www.w3.org/2000/svg" width="760" height="470" viewBox="0 0 760 470" '
+           'font-family="sans-serif" font-size="12">', '<rect width="760" height="470" fill="white"/>',
+           f'<text x="{left}" y="24" font-size="16">Change of collisions by a brake in the car of a human driver'
+           '</text>']
+    for value in range(-100, 61, 20):
+        out.append(f'<path d="M{left} {y(value):.1f}H{left + width}" stroke="{"#888" if value == 0 else "#ddd"}"/>')
+        out.append(f'<text x="{left - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{value:+d} %</text>')
+    for value in (0, 1, 2, 3):
+        out.append(f'<text x="{x(value):.1f}" y="{top + height + 18}" text-anchor="middle">{value} s</text>')
+    out.append(f'<text x="{left + width / 2}" y="{top + height + 40}" text-anchor="middle">'
+               'Time to collision from which the brake fires</text>')
+    lines = [(("human",), "human drivers behind", ""), (FOLLOWERS, "four types behind", ' stroke-dasharray="6 4"')]
+    for index, (followers, text, dash) in enumerate(lines):
+        curve = relative_curve(results[MAIN], weights(followers, LORRY_PERCENT))
+        for place, color, what in ((1, "#0060a0", "hits the vehicle ahead"), (2, "#c04000", "hit from behind")):
+            points = " ".join(f"{x(point[0]):.1f},{y(100 * point[place]):.1f}" for point in curve)
+            line = f'fill="none" stroke="{color}" stroke-width="1.8"{dash}'
+            out.append(f'<polyline points="{points}" {line}/>')
+            row = top + 130 + 24 * (2 * index + place)
+            out.append(f'<path d="M{left + width + 14} {row - 4}h22" {line}/>')
+            out.append(f'<text x="{left + width + 42}" y="{row}" font-size="11">{what},</text>')
+            out.append(f'<text x="{left + width + 42}" y="{row + 9}" font-size="9" fill="#444">{text}</text>')
+    for value, color, name in zip(FIELD, ("#0060a0", "#c04000"), ("striking", "struck")):
+        text = f"field: {name} {number(value, True, 0)} %"
+        out.append(f'<path d="M{left} {y(value):.1f}H{left + width}" stroke="{color}" stroke-dasharray="2 3"/>')
+        out.append(f'<text x="{left + width + 14}" y="{y(value) + 4:.1f}" fill="{color}">{text}</text>')
+    return "\n".join([*out, "</svg>\n"])
+
+
+def results_csv(results):
+    """Returns the results of every system, follower and class in every condition."""
+    lines = ["space,system,after_collision,estimator,follower,class,emergencies,hits_ahead,hit_from_behind,either,"
+             "activations,harm_per_1000,harm_error_per_1000"]
+    for (after_collision, estimator), part in results.items():
+        for (space, system), drives in part.items():
+            by_stratum = {}
+            for place, stratum in enumerate(drives.strata):
+                by_stratum.setdefault(stratum, []).append(place)
+            harm = level(drives, "harm")
+            for stratum in sorted(by_stratum):
+                counts = [f"{sum(getattr(drives, name)[place] for place in by_stratum[stratum]):.0f}"
+                          for name in ("ahead", "behind", "any", "activations")]
+                mean, variance = harm.moments[stratum]
+                row = [space, f'"{system}"', after_collision, estimator, *stratum, str(len(by_stratum[stratum])),
+                       *counts, f"{mean:.3f}", f"{variance ** 0.5:.3f}"]
+                lines.append(",".join(row))
+    return "\n".join(lines) + "\n"
+
+
+def answers_csv(results):
+    """Returns every comparison of the questions with its interval."""
+    lines = ["question,kind,measure,system,after_collision,estimator,types_of_followers,lorry_percent,change,lower,"
+             "upper"]
+    for place, question in enumerate(QUESTIONS["questions"], 1):
+        for (name, key), bounds in compare(question, results)[0].items():
+            lines.append(",".join([str(place), question["kind"], question.get("measure", "any"), f'"{name}"',
+                                   *map(str, key), *(f"{value:.3f}" for value in bounds)]))
+    return "\n".join(lines) + "\n"
+
+
+INTRODUCTION = """\
+Emergencies are simulated: the car ahead brakes to a stop, the car under test follows it, and another vehicle follows
+that car. [Questions](../examples/studies/aeb_behind/questions.toml) and rule were committed before the run, whose seed
+was new ([changes since then](#changes-after-the-run)).
+
+An answer holds in every combination of four assumptions: after an impact, vehicles hold their brakes or coast; cars
+observe through sensors and a filter, or the true state; followers are of four types alike (`human`, `idm`, `acc-aeb`,
+`baseline`), or of the first three; none or half of them are lorries. Otherwise the sentence counts those of the
+COMBINATIONS combinations (FEW in questions 10 and 11, with `human` behind) that have an answer, and names each
+assumption under which all have it. Combinations share their emergencies, so that they confirm each other little. Values
+per 100 emergencies, for injuries per 1000, are the smallest and the largest; brackets have the outermost ends of the
+intervals, corrected for COMPARISONS comparisons, of EMERGENCIES emergencies. An interval around 0 does not show that
+nothing changes. [Other assumptions](#sensitivity) may change answers. **Speeds, braking and followers are chosen: the
+values are none of real traffic.**"""
+
+
+def sizes(results):
+    """Returns the smallest and the largest number of emergencies of a comparison."""
+    found = set()
+    for space, kind in ((SPACE, "change"), ("followers-alone", "left")):
+        strata = results[MAIN][space, HUMAN].strata
+        found |= {sum(stratum in weights(followers, lorries) for stratum in strata)
+                  for _, _, followers, lorries in combinations(kind)}
+    return f"{min(found)} to {max(found)}"
+
+
+def first_part(results):
+    """Returns the first part of the page: nothing but the answers, and how to read them."""
+    numbers = {"COMBINATIONS": len(combinations("change")), "FEW": len(combinations("left")),
+               "COMPARISONS": comparisons(), "EMERGENCIES": sizes(results)}
+    introduction = INTRODUCTION
+    for word, value in numbers.items():
+        introduction = introduction.replace(word, str(value))
+    filled = [textwrap.fill(part, 120, break_on_hyphens=False) for part in introduction.split("\n\n")]
+    cars = table(["question 9", "if vehicles hold their brakes", "change", "if vehicles coast", "change"],
+                 systems_answers(results))
+    return "\n".join([TITLE, "", "\n\n".join(filled), "", "## Findings", "", *all_answers(results), "", cars, ""])
+
+
+def check_first_part(page, wanted, is_written):
+    """Refuses a first part that states anything else than the answers, or writes it."""
+    text = page.read_text()
+    place = text.find("\n## ", text.find("## Findings") + 1)
+    if place < 0:
+        sys.exit(f"error: {page} has no part after `## Findings`")
+    if is_written:
+        page.write_text(wanted + text[place:])
+    elif text[:place] != wanted:
+        rows = zip(text[:place].splitlines() + [""], wanted.splitlines() + [""])
+        sys.exit(f"error: the first part of {page} differs from the answers: " + str(next(
+            ((a, b) for a, b in rows if a != b), "its length")))
+
+
+def check_tables(page, made, is_written):
+    """Compares tables with the page, or writes them. A table is found by its first line."""
+    text = page.read_text()
+    for name, block in made.items():
+        head = block.split("\n")[0]
+        old = re.search(re.escape(head) + r"\n(?:\|.*\n)+", text)
+        if old is None:
+            sys.exit(f"error: {page} has no table `{name}` with the head {head}")
+        if old[0] != block + "\n" and not is_written:
+            rows = zip(old[0].splitlines(), block.splitlines())
+            sys.exit(f"error: table `{name}` of {page} differs: " + str(next((a, b) for a, b in rows if a != b)))
+        text = text.replace(old[0], block + "\n")
+    if is_written:
+        page.write_text(text)
+
+
+def check_length(page):
+    """Refuses a page of more than 2500 words, or a table of more than six columns."""
+    text = page.read_text()
+    words = len([word for word in text.split() if any(letter.isalnum() for letter in word)])
+    if words > MAX_WORDS:
+        sys.exit(f"error: {page} has {words} words")
+    columns = max((line.count("|") - 1 for line in text.splitlines() if line.startswith("|")), default=0)
+    if columns > MAX_COLUMNS:
+        sys.exit(f"error: {page} has a table of {columns} columns")
+    print(f"The page has {words} words, and its tables at most {columns} columns.")
+
+
+def check_files(page, files, is_written):
+    folder = page.with_suffix("")
+    for name, text in files.items():
+        if is_written:
+            (folder / name).write_text(text)
+        elif (folder / name).read_text() != text:
+            sys.exit(f"error: {folder / name} differs from the runs")
+
+
+def check(page, results, passing, is_written):
+    """Compares page, pictures and tables of values with the runs, or writes them."""
+    check_first_part(page, first_part(results), is_written)
+    check_tables(page, {"systems": systems_table(results, passing), "followers": followers_table(results),
+                        "lorries": lorries_table(results), "conforming": conforming_table(results),
+                        "field": field_table(results)}, is_written)
+    check_files(page, {"field.svg": field_picture(results), "results.csv": results_csv(results),
+                       "answers.csv": answers_csv(results)}, is_written)
+    check_length(page)

@@ -1,0 +1,155 @@
+//! The rows as a page in Markdown.
+
+use super::drives::ImportedDrives;
+use super::row::{ControllerRow, FollowerCounts, RowConfig, SEED, SPACE, SuiteScore};
+use crumple::evidence::DriveComfort;
+use crumple::suites::DISCLAIMER;
+use crumple_core::digits::{format_fixed, format_fixed_down, format_fixed_up};
+use crumple_core::markdown::Markdown;
+
+/// Renders the page.
+pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
+    let mut page = Markdown::default();
+    page.heading(1, "All controllers");
+    page.paragraph(
+        "All built-in and fitted controllers that drive by themselves, in the same tests, with the Kalman filter. The \
+         controllers that only `crumple list --all` names are left out: they are made for tests. `car:...` are the \
+         emergency brakes of cars, which otherwise hold their speed, and are valid only in the tests with which they \
+         were compared. `cruise:...` are cruise controls that were fitted to recordings without emergencies: their \
+         results in emergencies say nothing about the cars. `shield2:...` needs the true state: with the errors of the \
+         filter it has almost no state from which a plan is safe, and then brakes fully.",
+    );
+    page.paragraph(
+        "Command, with FOLDER as `examples/studies/openacc/fetch.py` fills it: `cargo run --release -p \
+         crumple-experiments -- controllers target/controllers recordings=FOLDER > reports/controllers.md`.",
+    );
+    page.heading(2, "Tests, gain and recorded drives");
+    page.list(column_notes(config));
+    page.plain_table(
+        &header(rows).iter().map(String::as_str).collect::<Vec<_>>(),
+        rows.iter().map(cells),
+    );
+    page.heading(2, "Collisions with each kind of follower");
+    page.paragraph(format!(
+        "The first {} random scenarios of the space `{SPACE}` (seed {SEED}), which has the emergencies of `high-risk`, \
+         each with every kind of follower. In percent: the vehicle hits its leader first / the follower hits it first. \
+         Without an answer of the controller, the drive counts as a hit of the leader. `late` and `weak` are variants \
+         of `baseline`; `none` is no follower.",
+        config.draws
+    ));
+    page.plain_table(
+        &follower_header(rows)
+            .iter()
+            .map(String::as_str)
+            .collect::<Vec<_>>(),
+        rows.iter().map(|row| follower_cells(row, config.draws)),
+    );
+    page.into_string()
+        + "\nSee also [the emergency brakes](credibility.md), [the cruise controls](openacc.md), \
+           [the drivers](driver.md) and [all margins](suites.md).\n"
+}
+
+/// Explains the columns of the first table.
+fn column_notes(config: &RowConfig) -> [String; 5] {
+    [
+        DISCLAIMER.to_owned(),
+        "Suites: tests passed of those that can be run, refused tests (those outside one lane, and, with a shield, \
+         those without a guarantee), and, in brackets, the mean margin: of each passed test the share of its shortest \
+         margin that still passes, 0 for a failed one."
+            .to_owned(),
+        "Largest gain: of a line of vehicles with the true state; above 1, oscillations grow.".to_owned(),
+        config
+            .drives
+            .as_ref()
+            .map_or_else(|| "Recorded drives were not counted.".to_owned(), describe_drives),
+        "`autoware-aeb` has the values of Autoware's parameter file. With an offset of 2 m and 3 m/s² for the object \
+         it has those of its documentation. Offsets of 4 and 6 m and a response time of 2 s are values that users \
+         discuss for Autoware's cruise planner, not for its emergency brake (autoware_launch, pull request 1166)."
+            .to_owned(),
+    ]
+}
+
+fn describe_drives(drives: &ImportedDrives) -> String {
+    let recorded = DriveComfort::of_recorded_cars(&drives.set);
+    format!(
+        "Unnecessary braking: per hour with its exact interval of independent events at 95 %, and in brackets without \
+         any vehicle behind, in {} drives of {} recordings of OpenACC ({:.1} hours); the recorded cars: {}. \
+         Collisions: drives that hit the leader or end without an answer / drives that the simulated human behind \
+         hits, who starts at the gap of the recorded car and may be the cause.",
+        drives.set.drives().len(),
+        drives.recordings,
+        recorded.hours,
+        describe_rate(&recorded.unnecessary_braking.per_hour_interval())
+    )
+}
+
+fn header(rows: &[ControllerRow]) -> Vec<String> {
+    let suites = rows.iter().take(1).flat_map(|row| &row.suites);
+    let suites = suites.map(|score| score.suite.clone());
+    let last = ["largest gain", "unnecessary braking", "collisions"].map(str::to_owned);
+    std::iter::once("controller".to_owned())
+        .chain(suites)
+        .chain(last)
+        .collect()
+}
+
+fn cells(row: &ControllerRow) -> Vec<String> {
+    let mut cells = vec![row.controller.clone()];
+    cells.extend(row.suites.iter().map(suite_cell));
+    let gain = row.largest_gain;
+    cells.push(gain.map_or("none".to_owned(), |gain| format_fixed(gain, 3)));
+    match &row.drives {
+        None => cells.extend(["not counted", "not counted"].map(str::to_owned)),
+        Some(drives) => {
+            let alone = drives.alone_per_hour.map_or(String::new(), |[rate, ..]| {
+                format!(" [{}]", format_fixed(rate, 2))
+            });
+            cells.push(describe_rate(&drives.unnecessary_per_hour) + &alone);
+            cells.push(format!("{} / {}", drives.hits, drives.hit_from_behind));
+        }
+    }
+    cells
+}
+
+fn suite_cell(score: &SuiteScore) -> String {
+    let refused = match score.refused {
+        0 => String::new(),
+        count => format!(", {count} refused"),
+    };
+    match score.run {
+        0 => format!("–{refused}"),
+        run => {
+            let margin = format_fixed(score.margin_percent, 0);
+            format!("{} of {run}{refused} ({margin} %)", score.passed)
+        }
+    }
+}
+
+fn describe_rate(&[rate, lower, upper]: &[f64; 3]) -> String {
+    format!(
+        "{} ({} to {})",
+        format_fixed(rate, 2),
+        format_fixed_down(lower, 2),
+        format_fixed_up(upper, 2)
+    )
+}
+
+fn follower_header(rows: &[ControllerRow]) -> Vec<String> {
+    let kinds = rows.iter().take(1).flat_map(|row| &row.followers);
+    let kinds = kinds.map(|counts| counts.follower.clone());
+    std::iter::once("controller".to_owned())
+        .chain(kinds)
+        .collect()
+}
+
+fn follower_cells(row: &ControllerRow, draws: u64) -> Vec<String> {
+    let percent = |count: u64| format_fixed(100.0 * count as f64 / draws as f64, 1);
+    let cell = |counts: &FollowerCounts| {
+        let ahead = percent(counts.hits + counts.unanswered);
+        format!("{ahead} / {}", percent(counts.hit_from_behind))
+    };
+    let kinds = row.followers.iter().map(cell);
+    std::iter::once(row.controller.clone())
+        .chain(kinds)
+        .collect()
+}

@@ -1,0 +1,15 @@
+; If the fastest follower (pf, uf) does not fire, none does; if the slowest one (ps, us) fires, each has fired. Refuted: one differs.
+(set-info :status unsat)
+(declare-const p Real)
+(declare-const v Real)
+(declare-const pf Real)
+(declare-const uf Real)
+(declare-const ps Real)
+(declare-const us Real)
+(declare-const y Real)
+(declare-const u Real)
+(assert (and (<= y pf) (>= y ps) (<= us u) (<= u uf)))
+(assert (or
+  (and (>= {fastest-spare} 0.0) (< {follower-spare} 0.0))
+  (and (< {slowest-spare} 0.0) (>= {follower-spare} 0.0))))
+(check-sat)

@@ -1,0 +1,11 @@
+; No value of a quadratic function in an interval is less than the minimum of the code. Refuted: one is.
+(set-info :status unsat)
+(declare-const value Real)
+(declare-const rate Real)
+(declare-const k Real)
+(declare-const d Real)
+(declare-const t Real)
+(assert (and (>= t 0.0) (<= t d)))
+(assert (< (+ value (* rate t) (/ (* k t t) 2.0))
+  {minimum}))
+(check-sat)

@@ -1,0 +1,18 @@
+; At an instant t, a vehicle that brakes by at most d is not less far, and a follower not farther, than `follower-waiting` assumes.
+; Refuted: one is.
+(set-info :status unsat)
+(declare-const v Real)
+(declare-const u Real)
+(declare-const a Real)
+(declare-const af Real)
+(declare-const d Real)
+(declare-const t Real)
+(declare-const v2 Real)
+(declare-const x Real)
+(declare-const u2 Real)
+(declare-const z Real)
+(assert (and (>= v 0.0) (>= u 0.0) (>= a (- d)) (>= d 0.0) (>= af (- e)) (<= af e) (>= t 0.0)))
+(assert (moves v a t v2 x))
+(assert (moves u af t u2 z))
+(assert (or (< x (- (* v t) (* 0.5 d t t))) (> z (+ (* u t) (* 0.5 e t t)))))
+(check-sat)

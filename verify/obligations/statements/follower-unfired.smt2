@@ -1,0 +1,16 @@
+; A follower that has not fired at a sample (p0, v0, y0, u0) is at the next one, with speed u, not farther than the code says, whatever
+; acceleration af it holds. Refuted: it is farther.
+(set-info :status unsat)
+(declare-const p0 Real)
+(declare-const v0 Real)
+(declare-const y0 Real)
+(declare-const u0 Real)
+(declare-const af Real)
+(declare-const u Real)
+(declare-const z Real)
+(assert (and (>= u0 0.0) (>= af (- e)) (<= af e)))
+(assert (moves u0 af h u z))
+(assert (>= {follower-spare-before} 0.0))
+(assert (> (+ y0 z)
+  {unfired-position}))
+(check-sat)

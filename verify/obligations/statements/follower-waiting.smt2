@@ -1,0 +1,22 @@
+; Until the next sample, the gap to a follower that does not fire is at least that of the code, if that is not negative. The ego vehicle covers
+; x in a time t and brakes by at most d, the follower covers z (follower-motion). Refuted: the gap is smaller.
+(set-info :status unsat)
+(declare-const p Real)
+(declare-const v Real)
+(declare-const pf Real)
+(declare-const low Real)
+(declare-const y Real)
+(declare-const u Real)
+(declare-const d Real)
+(declare-const t Real)
+(declare-const x Real)
+(declare-const z Real)
+(assert (and (<= y pf) (>= u low) (>= u 0.0) (>= v 0.0) (>= d 0.0) (>= t 0.0) (<= t h)))
+(assert (>= {follower-spare} 0.0))
+(assert (>= x (- (* v t) (* 0.5 d t t))))
+(assert (<= z (+ (* u t) (* 0.5 e t t))))
+(define-fun smallest () Real
+  {waiting-gap})
+(assert (>= smallest 0.0))
+(assert (< (- (+ p x) (+ y z)) smallest))
+(check-sat)
