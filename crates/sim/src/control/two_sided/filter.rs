@@ -13,8 +13,8 @@ const BRAKE_SHARES: [f64; 5] = [1.0, 0.8, 0.6, 0.4, 0.2];
 /// Speeds below that of the follower at which a plan stops braking and holds its speed, in m/s.
 const SLOWER_BY_MPS: [f64; 5] = [5.0, 7.5, 10.0, 12.5, 16.0];
 
-/// Work of a step at most while a plan is stored. Beyond, the step executes that plan, which stays safe. Without a
-/// stored plan, the search has no limit: a plan that is not found costs a collision.
+/// Work of a search at most, except for the first one and for those after commands that another controller has
+/// replaced. Beyond, the step executes the stored plan, which stays safe.
 const MAX_WORK_PER_STEP: usize = 40 * FIRING_WORK;
 
 /// Steps in which a filter that replaces commands has tried all shapes of plans once.
@@ -356,6 +356,10 @@ pub struct TwoSidedFilter {
     planner: Planner,
     run: ObservedRun,
     stored: Option<StoredPlan>,
+    /// Whether this step searches all plans without a limit of work, as at the first step and after a command that
+    /// another controller has replaced: a plan that is not found then costs a collision. After a step outside the set,
+    /// nothing is promised, so that later searches are limited.
+    searches_all: bool,
     /// Mean acceleration of the leader, in m/s².
     leader_mean_mps2: f64,
     is_raising: bool,
@@ -373,6 +377,7 @@ impl TwoSidedFilter {
             run: ObservedRun::new(&params),
             planner: Planner::new(params),
             stored: None,
+            searches_all: true,
             leader_mean_mps2: 0.0,
             is_raising: false,
             last_mps2: 0.0,
@@ -409,21 +414,24 @@ impl TwoSidedFilter {
         }
         self.run.commands.advance(command_mps2);
         self.last_mps2 = command_mps2;
+        self.searches_all = false;
         self.step += 1;
         command_mps2
     }
 
     /// Returns the work that a search may do.
     fn max_work(&self) -> usize {
-        match self.stored {
-            Some(_) => MAX_WORK_PER_STEP,
-            None => usize::MAX,
+        if self.searches_all {
+            usize::MAX
+        } else {
+            MAX_WORK_PER_STEP
         }
     }
 
     /// Accounts for another command than the one returned by [`Self::decide`], in m/s².
     pub fn record_command(&mut self, command_mps2: f64) {
         self.stored = None;
+        self.searches_all = true;
         self.run.commands.replace_last(command_mps2);
     }
 
@@ -574,16 +582,17 @@ impl TwoSidedFilter {
         plan.is_some()
     }
 
-    /// Returns the plans to try: all, unless a plan is stored and the last step has replaced the command or the level
-    /// is lower than the one to keep.
+    /// Returns the plans to try: not all if the last step has replaced the command or the level is lower than the one
+    /// to keep.
     fn choice(&self) -> PlanChoice {
-        if self.stored.is_none() {
+        if self.searches_all {
             return PlanChoice::All;
         }
-        let is_lower = self
+        let keep_mps2 = self.planner.params.level_mps2;
+        let keeps_level = self
             .level_mps2()
-            .is_some_and(|level_mps2| level_mps2 < self.planner.params.level_mps2);
-        if self.was_replaced() || is_lower {
+            .is_some_and(|level_mps2| level_mps2 >= keep_mps2);
+        if self.was_replaced() || !keeps_level {
             PlanChoice::Rotating(self.step)
         } else {
             PlanChoice::All
