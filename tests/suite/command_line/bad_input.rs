@@ -141,6 +141,11 @@ fn bad_scenarios_name_file_line_and_field() {
             "16: vehicles[1].driver: unknown variant `unknown`",
         ),
         (
+            "\"under-test\"",
+            "\"cruise:unknown\"",
+            "16: vehicles[1].driver: there is no preset `cruise:unknown`: use one of `crumple list controllers`",
+        ),
+        (
             "[[vehicles]]\nclass = \"light\"\nposition_m = 0.0",
             "[vehicle]",
             "12: ",

@@ -284,6 +284,11 @@ impl<'de> Deserialize<'de> for Driver {
                 if let Some(preset) = BuiltInController::from_preset(name) {
                     return Ok(Driver::Controller(preset).into());
                 }
+                if name.contains(':') {
+                    return Err(de::Error::custom(format!(
+                        "there is no preset `{name}`: use one of `crumple list controllers`"
+                    )));
+                }
                 let no_settings = std::iter::empty::<(&str, &str)>();
                 let settings = de::value::MapDeserializer::new(no_settings);
                 let named = std::iter::once((name, settings));

@@ -274,21 +274,27 @@ impl TwoSidedLoop {
     }
 
     /// Simulates two steps, and executes another command than that of the filter in the first. Returns for each whether
-    /// the state is in S by [`LevelMeter`], and whether the filter has a plan at that level.
+    /// the state is in S by a [`LevelMeter`] without a plan of the step before, and whether the filter has a plan at
+    /// that level.
     pub(crate) fn first_steps(&self) -> [[bool; 2]; 2] {
         let mut simulation = LoopSimulation::new(self);
-        let mut meter = LevelMeter::new(self.params);
+        // One for each step, because a meter also tries its last plan, which the filter does not know.
+        let mut meters = [0, 1].map(|_| LevelMeter::new(self.params));
         let keep_mps2 = self.params.level_mps2;
         [0, 1].map(|step| {
             let observation = simulation.observation();
-            meter.observe(&observation);
-            let is_in_set = meter.keeps(keep_mps2);
+            meters
+                .iter_mut()
+                .for_each(|meter| meter.observe(&observation));
+            let is_in_set = meters[step].keeps(keep_mps2);
             let wanted_mps2 = simulation.wanted_mps2(step);
             let decided_mps2 = simulation.decide(&observation, wanted_mps2);
             let level_mps2 = simulation.filter.level_mps2();
             let executed_mps2 = 0.5 * decided_mps2;
             simulation.filter.record_command(executed_mps2);
-            meter.record_command(executed_mps2);
+            meters
+                .iter_mut()
+                .for_each(|meter| meter.record_command(executed_mps2));
             simulation.advance(step, executed_mps2, &mut LoopResult::default());
             [
                 is_in_set,
