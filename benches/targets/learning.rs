@@ -141,7 +141,7 @@ pub fn time_to_first_safe(seeds: u64, say: &mut dyn FnMut(Measurement)) {
     let middle = times_s.len() / 2;
     let median_s = (times_s[middle] + times_s[times_s.len().div_ceil(2).max(1) - 1]) / 2.0;
     let name = format!(
-        "`train --preset fast` to the first evaluation without contact, median of {seeds} seeds"
+        "`train --preset fast` to the first evaluation without collision, median of {seeds} seeds"
     );
     say(Measurement::at_most(10.0, "s", name, median_s));
 }

@@ -1,6 +1,6 @@
 //! Emergency brakes of six cars: fit, prediction and validation behind `reports/credibility.md`.
 //!
-//! - `car_brakes predict ATTEMPT TESTS.csv FOLDER` fits each car on the trials behind a stopped lead vehicle. It writes
+//! - `car_brakes predict ATTEMPT TESTS.csv FOLDER` fits each car on the trials behind a stopped leader. It writes
 //!   the settings (`settings.csv`) and the predictions for all other tests of the cars (`predictions.csv`) to FOLDER.
 //! - `car_brakes validate ATTEMPT TESTS.csv FOLDER` compares the predictions in FOLDER with the other trials.
 //! - `car_brakes sensitivity ATTEMPT TESTS.csv` fits and compares again with one assumption changed at a time.

@@ -28,14 +28,14 @@ recordings, suites and gates. Save it, change it, and pass the file.
   crumple show assessment > mine.toml
   crumple assess mine.toml
 
-A folder of scenarios may contain 10 000 files and 64 MiB. A certificate may have 64 MiB, any other file but a \
-recording 3 MiB of TOML; recordings have the limits of `import`.
+A folder of scenarios may contain 10 000 files and 64 MiB. A certificate may have 64 MiB, and a TOML file 3 MiB. \
+Recordings have the limits of `import`.
 
-The folder `evidence` of the report caches evidence by the hash of all its inputs. Only evidence whose inputs \
-changed is computed again, and an interrupted assessment resumes. Each file contains hashes of the program, of its \
-inputs and of itself; crumple computes evidence again if its file was truncated, edited or replaced. The hashes do \
-not protect against a person who changes numbers and hashes together: do not reuse a folder that others can write \
-to, or use --fresh, which ignores existing evidence. Every run checks all certificates, cached or not.";
+The folder `evidence` of the report caches evidence by the hash of all its inputs. Only evidence whose inputs changed \
+is computed again, and an interrupted assessment resumes. Each file contains hashes of the program, of its inputs and \
+of itself; crumple computes evidence again if its file was truncated, edited or replaced. The hashes do not protect \
+against a person who changes numbers and hashes together. If others can write to the folder, use --fresh, which \
+ignores existing evidence, or another folder. Every run checks all certificates, cached or not.";
 
 /// Returns the long help.
 fn long_help() -> String {
@@ -43,7 +43,7 @@ fn long_help() -> String {
     format!(
         "Without a file, `assess` compares {compared}. It simulates the paper's scenarios, 1000 random scenarios of \
          the paper's distribution and 200 each of `traffic` and `high-risk`, and searches for failures. For each \
-         scenario it finds the best escape (see avoid), and it checks all certificates. {CONFIGURATION}"
+         scenario it searches for the best escape (see `crumple avoid`). It checks all certificates. {CONFIGURATION}"
     )
 }
 

@@ -20,15 +20,15 @@ use crumple_store::disk::StagedFiles;
 #[derive(Args)]
 #[command(after_long_help = "\
 The vehicles under test may accelerate and brake freely within their limits and know the future; all other vehicles \
-keep their drivers. `avoidable` comes with accelerations, held over steps of --grid, whose replay has no collision \
-at the scenario's step and at a tenth of it. The smallest gap is the largest that the search found; a finer grid may \
-find a larger one. A separate certificate states that no driver keeps more than the bound. `unavoidable` comes with \
-a proof about every possible driver, which the checker of `crumple check` accepted. Every other result is \
-`undecided`, with the reason.
+keep their drivers. `avoidable` comes with an escape: accelerations, held over steps of --grid, whose replay has no \
+collision at the scenario's step and at a tenth of it. The search looks for the escape with the largest smallest gap; \
+a finer grid may find a larger one. A separate certificate states that no driver keeps a larger gap than the bound. \
+`unavoidable` comes with a proof about every possible driver, which the checker of `crumple check` accepted. Every \
+other result is `undecided`, with the reason.
 
-Convex programs model a scripted leader and a latched emergency brake behind. If another vehicle has another driver \
-(idm, acc-aeb, a policy), crumple simulates some thousands of profiles with that driver in the loop and shows the \
-best one.
+Convex programs model a scripted leader, and a follower whose emergency brake is latched (brakes to standstill). If \
+another vehicle has another driver (idm, acc-aeb, a policy), crumple simulates some thousands of profiles with that \
+driver in the loop and shows the best one.
 
 At most 20 vehicles may be under test, with at most 50 000 vehicles times steps; the largest undecided problem takes \
 about two minutes.

@@ -34,14 +34,17 @@ lists all files with their hashes: --resume refuses a folder with a truncated, e
 file among its results, and names the file. This does not protect against a person who changes the files and \
 `work.json` together.
 
---compare prints for each method the falsification rate and the mean and median number of simulations up to the first \
-failure, and compares all pairs of methods on the same seeds by exact tests (McNemar and sign test, with the \
-correction of Holm).
+--compare prints, for each method, the falsification rate, and the mean and median number of simulations up to the \
+first failure. Exact tests compare all pairs of methods on the same seeds (McNemar and sign test, with the correction \
+of Holm).
 
-Named specifications for --spec are `no braking without cause` (no unnecessary braking, see docs/glossary.md), \
-`imposed braking at most 4 m/s2` (the follower brakes no harder) and `no amplification` (the vehicle's largest change \
-of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against a failure \
-has two runs. Its robustness is max(r, -r of the other run): negative if only the first run fails.
+--spec also takes these names (docs/glossary.md defines the terms):
+  - `no braking without cause`: no unnecessary braking
+  - `imposed braking at most 4 m/s2`: the induced braking of the follower is at most 4 m/s²
+  - `no amplification`: if all vehicles have the same initial speed, the vehicle's largest change of speed is at most \
+that of its leader
+With --against, a failure has two runs. Its robustness is max(r of the first run, -r of the other): negative if only \
+the first run fails.
 
 Formulas for --spec use signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 \
 and v1.jerk_mps3; vehicles are numbered from the front. A formula may have 4000 tokens, nested 64 deep, and a space \
@@ -49,7 +52,7 @@ file 3 MiB. docs/stl.md lists all signals, operators and their precedence. An ev
 bytes of disk, or with --log summary 40 bytes until the campaign ends; memory does not grow with the budget. A \
 million evaluations need 360 MB, and in the space `paper` about six minutes on two cores.
 
-With --drives the domain is a folder of recorded drives, of which the controller drives each once: there is no search, \
+With --drives, the domain is a folder of recorded drives. The controller drives each of them once: there is no search, \
 no shrinking and no replay. The folder of --out receives the failed drives, the severest first (`counterexamples/`), \
 and `drives.json`. A collision from behind with a vehicle that repeats recorded speeds is no failure.
 

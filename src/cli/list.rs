@@ -21,8 +21,8 @@ const SHIELD_ENTRY: (&str, &str) = (
 
 const TWO_SIDED_SHIELD_ENTRY: (&str, &str) = (
     "shield2:policy",
-    "policy with a two-sided shield: executes a plan unless, after the policy's command, a plan avoids the leader and \
-     keeps a follower of the stated class from hitting the vehicle; shield2: works with any controller",
+    "policy with a two-sided shield: passes a command only if, after it, a plan avoids collisions with the leader and \
+     with a follower of the stated class, and otherwise executes its plan; shield2: works with any controller",
 );
 
 const FILE_ENTRY: (&str, &str) = (

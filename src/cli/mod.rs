@@ -95,8 +95,8 @@ struct Cli {
     /// Print no progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true)]
     quiet: bool,
-    /// Also start programs and FMUs that files name: scenarios, spaces, suites, campaigns, certificates. Without it
-    /// crumple starts only those named on this command line, or in a configuration or controller file named there
+    /// Also start programs and FMUs that scenarios, spaces, suites, campaigns or certificates name. Without it, crumple
+    /// starts only those that this command line names, or a configuration or controller file on it
     #[arg(long, global = true)]
     allow_external: bool,
     /// Number of threads, 1 to 1024 [default: RAYON_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this

@@ -31,19 +31,20 @@ const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 /// Retrain a policy on avoidable failures that a search finds; accept no regression
 #[derive(Args)]
 #[command(after_long_help = "\
-Each round searches every --space for collisions of the policy, attacks every --scenario, and keeps the avoidable \
-collisions. It then trains the policy on these, mixed with random scenarios of the preset's spaces (without these, of \
-the paper's distribution and --space), and evaluates the best checkpoint. With `[imitation]` in the preset (`road`), \
-the policy imitates the expert in them. crumple accepts the checkpoint only if
+Each round searches every --space for collisions of the policy, attacks every --scenario, and collects the avoidable \
+collisions. It then trains the policy on these, mixed with random scenarios of the preset's spaces (if the preset has \
+none, of the paper's distribution and --space), and evaluates the best checkpoint. With `[imitation]` in the preset \
+(`road`), the policy imitates the expert in these scenarios. crumple accepts the checkpoint only if
   - no safe scenario of the paper and its distribution fails
-  - collisions on the validation set do not increase, and fall there or in the collected cases
-  - in none of the --regression spaces, the policy is significantly worse: by collisions and, where `idm` drives \
-without fault, also by hard unnecessary braking and vehicles left behind (McNemar's exact one-sided test on the same \
-random scenarios, p below 0.01)
+  - collisions on the validation set do not increase, and they decrease there or in the collected scenarios
+  - the policy is significantly worse in none of the --regression spaces: by collisions and, where `idm` drives \
+without fault, also by hard unnecessary braking and vehicles that fall behind (McNemar's exact one-sided test on the \
+same random scenarios, p below 0.01)
   - with `usefulness_draws` in the preset, drives of `traffic` do not have more collisions, hard unnecessary braking \
-or vehicles left behind, nor rms jerk or acceleration more than 1 % above the larger of those of the initial policy \
-and of `idm`, nor a mean time gap more than 1 % further outside 1.2 to 2.1 s; drives of `everyday` do not have more \
-faults where `idm` has none, nor more jerk, by the same rule
+or vehicles that fall behind; rms jerk and rms acceleration are at most 1 % above the larger value of the initial \
+policy and of `idm`; and the mean time gap is at most 1 % further outside 1.2 to 2.1 s
+  - with `usefulness_draws`, drives of `everyday` do not have more faults where `idm` has none, nor more jerk, by the \
+same rule
   - with `usefulness_draws`, the last of five vehicles in a line changes its speed at most as much as the first, or as \
 before
 The retraining ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the \

@@ -29,18 +29,17 @@ use crumple_store::disk::StagedFiles;
 /// Run scenarios and print their outcomes
 #[derive(Args)]
 #[command(after_long_help = "\
-For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension. The text \
-ends with a total by kind of collision, and so does the JSON. With a folder, the text has one line for each scenario, \
-or the full text with --details.
+For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension. Text and \
+JSON end with totals by kind of collision. With a folder, the text has one line for each scenario, or with --details \
+the full text.
 
-A formula of --spec is evaluated as by `crumple falsify`, on a simulation that continues after collisions whatever \
---after-collision says; negative robustness means violated. `--expect satisfied` requires that every scenario \
-satisfies every specification, `--expect violated` that each scenario violates at least one. `safe` requires no \
-collision and no controller that fails, `collision` a collision. `useful` requires what `safe` does and no unnecessary \
-braking: for 0.2 s, more than 2 m/s² harder than each of the Intelligent Driver Model at the true state, the braking \
-that avoids a collision, and the braking of the leader. Nor may a vehicle under test fall behind a leader that still \
-drives: end at less than half its speed, or at a gap above both the initial one and 20 m plus 6 s times the leader's \
-speed.
+A formula of --spec is evaluated as by `crumple falsify`: on a simulation that continues after collisions, whatever \
+--after-collision says. Negative robustness means violated.
+
+Braking is unnecessary if it is, for 0.2 s, more than 2 m/s² harder than each of three: that of the Intelligent Driver \
+Model at the true state, that which avoids a collision, and that of the leader. A vehicle falls behind if its leader \
+still drives at the end, and the vehicle has less than half the leader's speed, or a gap above both the initial gap \
+and 20 m plus 6 s times the leader's speed (docs/glossary.md).
 
 A scenario file may have 8 MiB of JSON or 3 MiB of TOML, 1000 vehicles, and 5 million vehicle-steps, whose trace takes \
 120 MB. A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); a \
@@ -116,7 +115,7 @@ pub(super) struct Simulate {
 enum RunExpectation {
     /// No collision, and no controller fails
     Safe,
-    /// Like `safe`, and each vehicle under test (at least one) brakes only when necessary and is not left behind
+    /// Like `safe`; besides, no vehicle under test (there is at least one) brakes unnecessarily or falls behind
     Useful,
     /// A collision
     Collision,
@@ -140,7 +139,7 @@ impl RunExpectation {
     fn description(self) -> &'static str {
         match self {
             Self::Safe => "no collision",
-            Self::Useful => "no collision, no unnecessary braking and no vehicle left behind",
+            Self::Useful => "no collision, no unnecessary braking and no vehicle that falls behind",
             Self::Collision => "a collision",
             Self::Satisfied => "every specification to hold",
             Self::Violated => "a violated specification",

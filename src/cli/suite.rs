@@ -37,18 +37,17 @@ enum SuiteSubcommand {
 /// Run a suite, and print clause, test, verdict and margin
 #[derive(Args)]
 #[command(after_long_help = "\
-A test passes if it ends without a collision, or without one faster than the test allows. A margin states how far \
-one quantity can be changed until the test fails, with all others fixed; crumple simulates both sides of the \
-boundary. For a failed test crumple states whether each reference driver, which observes the true state, would have \
-prevented the collision, and for the first three points also whether any driver could have.
+A test passes if it ends without a collision, or without one that is faster than the test allows. A margin states how \
+far one quantity can be changed until the test fails, with all others fixed; crumple simulates both sides of the \
+boundary. For a failed test, crumple states whether each reference driver, who observes the true state, would have \
+prevented the collision. For the first three failed points, it also states whether any driver could have done so.
 
 In tests with manual braking, a test driver brakes after a warning of the controller, or after the reference warning \
 of the suite; the result states which. Replay commands name the test driver.
 
 The folder of --out also contains `failures.sha256`, which lists the files of a run (`sha256sum -c` checks it). The \
-next run there replaces these files. Every other file stays: if crumple did not write it, if it has changed since, \
-or if it is a symbolic link. A run that would have to overwrite such a file writes nothing and ends with exit code \
-2.
+next run there replaces these files. All other files stay: those that crumple did not write, those that have changed \
+since, and symbolic links. A run that would have to overwrite such a file writes nothing, and ends with exit code 2.
 
 A suite may have 2000 points and a file of 3 MiB. Suites are modelled on the documents and use a point-mass model in \
 one lane: a result is no certification.

@@ -19,16 +19,17 @@ use crumple_sim::observation::EstimatorKind;
 /// Fit the settings of a built-in controller to scenario spaces and everyday traffic
 #[derive(Args)]
 #[command(after_long_help = "\
-The search simulates each candidate in the same random scenarios. It varies the settings in their typical ranges, \
-starts at the defaults, or in the middle of a range that excludes them, and minimises one number. For --objective \
-both this is the sum of:
+The search simulates each candidate in the same random scenarios. It varies the settings in their typical ranges, and \
+starts at the defaults, or in the middle of a range that excludes them. It minimises one number. For --objective both, \
+this is the sum of:
   - the weighted mean of the collision shares in the spaces
-  - the shares of drives in `traffic` with a collision, with unnecessary hard braking (above 4 m/s2 where less than 3 \
-m/s2 was justified), and in which the vehicle is left behind
+  - the shares of drives in `traffic` with a collision, with hard unnecessary braking (above 4 m/s2 where less than 3 \
+m/s2 was justified), and in which the vehicle falls behind
   - the share of drives in `everyday` with one of these faults or any unnecessary braking, where `idm` has none
-  - 0.5 times the sum of four excesses: in `traffic`, of RMS acceleration and RMS jerk above 1.2 times those of `idm` \
-(relative), and of the mean time gap outside 1.2 to 2.1 s (in seconds); in `everyday`, of RMS jerk, too
-For --objective safety it is the first term.
+  - 0.5 times the sum of four excesses: in `traffic`, those of rms acceleration and rms jerk above 1.2 times the \
+values of `idm` (relative), and that of the mean time gap outside 1.2 to 2.1 s (in seconds); in `everyday`, that of \
+rms jerk
+For --objective safety, it is the first term.
 
 The five best candidates and the initial settings are then simulated in other random scenarios (the selection set), \
 which select the tuned settings. The report compares initial settings, tuned settings and `idm` in further scenarios \

@@ -21,22 +21,22 @@ use crumple_store::disk::StagedFiles;
 /// Find the mildest braking of the leader, or sensor fault, that makes a controller fail
 #[derive(Args)]
 #[command(after_long_help = "\
-The attack replaces the leader's script: braking only, within --max-brake and --jerk. The result is the best profile \
-found, in steps of 0.1 s: crumple simulates pulses and ramps and improves the best of them by sequential convex \
-programming along rollouts. crumple simulates this profile, and reports it with the prediction of the last convex \
-program.
+The attack replaces the leader's script: the leader only brakes, within --max-brake and --jerk. The result is the best \
+profile that the search finds, in steps of 0.1 s. crumple simulates pulses and ramps, and improves the best of them by \
+sequential convex programming along simulated runs. It simulates the result, and prints it with the prediction of the \
+last convex program.
 
 --budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 \
 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
-milder ones. If the budget is exceeded, the output says so.
+milder ones. The output states if the budget was exceeded.
 
 --attack sensors searches for the mildest sensor fault instead. For each kind of fault, crumple simulates sizes in \
-order, from 0.01 m or s (latency 0.002 s, range 199.9 m) to a limit, until one causes a collision and one causes \
-unnecessary braking (as for `crumple simulate --expect useful`), and then nine sizes between each of them and the one \
-before. A ghost appears at 8 times, 3 gaps and 2 speeds. A printed size causes the failure when it is simulated; a \
-smaller one between the simulated sizes may exist. The mildest fault has the smallest share of its limit. There are at \
-most 18 581 simulations. --out writes the scenario with the mildest fault that causes a collision, or else unnecessary \
-braking.
+order, from 0.01 m or s (latency 0.002 s, range 199.9 m) to a limit. It stops when one size has caused a collision, \
+and one unnecessary braking (as for `crumple simulate --expect useful`). It then simulates nine sizes between each of \
+these two and the size before. A ghost appears at 8 times, 3 gaps and 2 speeds. A printed size causes the failure when \
+it is simulated; a smaller one between the simulated sizes may exist. The mildest fault has the smallest share of its \
+limit. There are at most 18 581 simulations. --out writes the scenario with the mildest fault that causes a collision, \
+or else unnecessary braking.
 
 A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicle \
 steps, and all simulations together 20 000 million, which takes some minutes.

@@ -44,7 +44,7 @@ fn assert_hit_from_behind(
     let result = run_with_truth(name, "baseline");
     let collision = result.outcome.collision().expect("a rear collision");
     assert_eq!((collision.front_vehicle, collision.rear_vehicle), (1, 2));
-    assert_near(collision.time_s, time_s, 0.02, "time of contact");
+    assert_near(collision.time_s, time_s, 0.02, "time of the collision");
     assert_near(collision.front_speed_mps, ego_mps, 0.1, "speed of the ego");
     assert_near(
         collision.rear_speed_mps,
@@ -73,7 +73,7 @@ fn the_baseline_is_hit_from_behind_by_a_light_follower() {
     let result = assert_hit_from_behind("paper-2", 5.64, [6.3, 14.6]);
     assert!(
         result.vehicles[1].min_gap_m.unwrap() > 0.0,
-        "no front contact"
+        "no collision in front"
     );
 }
 
@@ -83,13 +83,13 @@ fn three_middle_vehicles_pile_up() {
     let first = run_with_truth("paper-3", "baseline").outcome;
     let collision = first.collision().expect("a collision");
     assert_eq!((collision.front_vehicle, collision.rear_vehicle), (1, 2));
-    assert_near(collision.time_s, 5.64, 0.02, "time of first contact");
+    assert_near(collision.time_s, 5.64, 0.02, "time of the first collision");
     let going_on =
         options("baseline", EstimatorKind::Truth).with_after_collision(AfterCollision::Continue);
     let pile_up = run(&scenario("paper-3"), going_on);
     assert_eq!(
         pile_up.outcome, first,
-        "going on does not change the first contact"
+        "going on does not change the first collision"
     );
     assert!(pile_up.impacts.len() > 1, "it grows: {:?}", pile_up.impacts);
     assert_eq!(
@@ -231,7 +231,7 @@ fn an_independent_simulation_of_scenario_1_agrees() {
         result.outcome.collision().unwrap().time_s,
         collision_s.expect("a collision"),
         1e-3,
-        "time of contact",
+        "time of the collision",
     );
     assert_near(
         result.vehicles[1].min_gap_m.unwrap(),

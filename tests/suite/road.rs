@@ -90,7 +90,7 @@ fn an_ablation_changes_one_thing() {
     assert_eq!(names.len(), 5, "{names:?}");
 }
 
-/// Collisions, drives with hard unnecessary braking or at whose end the vehicle is left behind, and the mean squares of
+/// Collisions, drives with hard unnecessary braking or in which the vehicle falls behind, and the mean squares of
 /// acceleration and jerk.
 struct Driven {
     collisions: usize,

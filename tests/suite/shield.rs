@@ -287,7 +287,7 @@ fn a_campaign() {
     for (index, name) in names.into_iter().enumerate() {
         let (hits, bare, overridden) = (hits[index], bare_hits[index], overridden[index]);
         println!(
-            "{name}: {hits} contacts of {runs} with the shield ({overridden} with interventions), {bare} without"
+            "{name}: {hits} collisions of {runs} with the shield ({overridden} with interventions), {bare} without"
         );
     }
     assert_eq!(hits, [0; 3]);

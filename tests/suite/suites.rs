@@ -886,7 +886,7 @@ fn an_allowed_collision_passes_and_moves_the_margin_by_its_closed_form() {
     );
     assert!(
         tested.min_gap_m.unwrap() <= 0.0,
-        "at 80 km/h there is a contact"
+        "at 80 km/h there is a collision"
     );
     let MarginEnd::Boundary { passes_at, .. } = tested.margins[0].end else {
         panic!("{:?}", tested.margins)

@@ -93,7 +93,7 @@ struct ApproachSegment {
 impl Approach {
     /// Creates the approach of vehicle `rear` to its leader; `None` without a leader or without such a vehicle.
     ///
-    /// Contacts come from `impacts`, or else from the first sample without a gap. If tracks have unequal lengths, the
+    /// Collisions come from `impacts`, or else from the first sample without a gap. If tracks have unequal lengths, the
     /// end of the shortest is the end for all.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {

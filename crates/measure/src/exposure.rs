@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn a_steady_approach_by_hand() {
-        // Gap 20 m closes at 5 m/s: TTC = 4 - t, contact at t = 4 s, between samples (0.7 s apart). Below 3 s from
+        // Gap 20 m closes at 5 m/s: TTC = 4 - t, collision at t = 4 s, between samples (0.7 s apart). Below 3 s from
         // t = 1 on: TET = 3 s. The shortfall grows from 0 to 3 s over these 3 s: TIT = 3 * 3 / 2 s².
         let pair = pair_trace(20.0, [(10.0, &[(4.9, 0.0)]), (15.0, &[(4.9, 0.0)])], 0.7);
         let approach = Approach::from_trace(&pair, &[impact(4.0, 0, 10.0, 15.0)], 1).unwrap();
@@ -158,7 +158,7 @@ mod tests {
                 let trace = near_miss_trace(gap_m, speed_mps, brakes_mps2, step_s);
                 Approach::from_trace(&trace, &[], 1).unwrap().ttc_exposure(threshold_s)
             };
-            // Excludes collisions, which cut the approach, and near contacts, which recover within a coarse step.
+            // Excludes collisions, which cut the approach, and near collisions, which recover within a coarse step.
             let fine = Approach::from_trace(&near_miss_trace(gap_m, speed_mps, brakes_mps2, 0.001), &[], 1).unwrap();
             prop_assume!(fine.min_gap_m() > Some(0.5));
             let (coarse, fine) = (exposure(0.02), exposure(0.001));

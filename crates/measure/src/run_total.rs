@@ -204,7 +204,7 @@ impl RunTotal {
             (self.brakes_unnecessarily, braking.into()),
             (
                 self.fell_behind,
-                "ego vehicle left behind by its leader".into(),
+                "the ego vehicle falls behind its leader".into(),
             ),
             (
                 self.violated.unwrap_or_default(),

@@ -27,7 +27,7 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 9] = [
     ),
     (
         "everyday",
-        "everyday driving, stops and starts, with any follower, near, far or faster, or none",
+        "everyday driving with stops and starts; a follower of any kind, near, far or faster, or none",
         EVERYDAY,
     ),
     (

@@ -54,7 +54,7 @@ pub struct SourceExposure {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ObservedData {
-    /// Number of the braking wave of each episode, from 0. Episodes of one wave are dependent and are resampled
+    /// Number of the cluster of each braking episode, from 0. Episodes of one cluster are dependent and are resampled
     /// together.
     #[serde(alias = "waves")]
     pub braking_clusters: Vec<u32>,

@@ -230,11 +230,11 @@ impl ParameterKind {
     pub fn label(self) -> &'static str {
         match self {
             Self::OwnSpeed => "own speed",
-            Self::LeadSpeed => "lead speed",
+            Self::LeadSpeed => "leader's speed",
             Self::ClosingTime => "closing time",
             Self::Gap => "gap",
             Self::TimeGap => "time gap",
-            Self::Deceleration => "lead deceleration",
+            Self::Deceleration => "leader's deceleration",
             Self::Ramp => "ramp",
             Self::GhostTime => "ghost time",
             Self::ApproachTime => "approach time",

@@ -1,4 +1,4 @@
-//! Fit of the time to collision of each car on its trials behind a stopped lead vehicle.
+//! Fit of the time to collision of each car on its trials behind a stopped leader.
 
 use std::path::Path;
 

@@ -20,9 +20,9 @@ const STEP_S: f64 = 0.01;
 const RUNS: u64 = 200;
 /// Headway at the start, as a time to collision (S7.2).
 const APPROACH_S: f64 = 5.0;
-/// Time before the lead vehicle brakes (S7.5.2).
+/// Time before the leader brakes (S7.5.2).
 const STEADY_S: f64 = 3.0;
-/// Time before standstill until which the deceleration of the lead vehicle is held (S7.5.3).
+/// Time before standstill until which the deceleration of the leader is held (S7.5.3).
 const LEAD_RELEASE_S: f64 = 0.25;
 /// Largest deceleration of the car: the peak friction coefficient of the test surface, 1.02 (S6.2.2).
 const MAX_BRAKE_MPS2: f64 = 1.02 * STANDARD_GRAVITY_MPS2;
@@ -42,7 +42,7 @@ pub(super) struct Assumptions {
     pub(super) partial: Option<PartialBraking>,
     /// Time to collision of cars that avoid all collisions.
     pub(super) without_collision: WithoutCollision,
-    /// Time in which the lead vehicle reaches its deceleration (S7.5.3: up to 1.5 s).
+    /// Time in which the leader reaches its deceleration (S7.5.3: up to 1.5 s).
     pub(super) lead_ramp_s: f64,
     /// Tolerance of the speeds, drawn uniformly (S7.3.2 to S7.5.2: 1.6 km/h).
     pub(super) speed_tolerance_kmh: f64,
@@ -136,8 +136,8 @@ pub(super) fn variations(stated: &Assumptions) -> Vec<(String, Assumptions)> {
         changed("mean of the other cars", &|a| {
             a.without_collision = WithoutCollision::MeanOfOthers;
         }),
-        changed("lead vehicle brakes at once", &|a| a.lead_ramp_s = 0.0),
-        changed("lead vehicle brakes within 1.5 s", &|a| {
+        changed("leader brakes at once", &|a| a.lead_ramp_s = 0.0),
+        changed("leader brakes within 1.5 s", &|a| {
             a.lead_ramp_s = 1.5;
         }),
         changed("exact speeds", &|a| a.speed_tolerance_kmh = 0.0),

@@ -8,7 +8,7 @@ use crate::ExperimentError;
 
 const MAX_TRIALS: usize = 10_000;
 
-/// Manoeuvre of the lead vehicle (49 CFR 571.127, S7.3 to S7.5).
+/// Manoeuvre of the leader (49 CFR 571.127, S7.3 to S7.5).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum TestKind {

@@ -12,15 +12,15 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
     let mut page = Markdown::default();
     page.heading(1, "All controllers");
     page.paragraph(
-        "All built-in and fitted controllers that drive by themselves, in the same tests, with the Kalman filter. The \
-         controllers that only `crumple list --all` names are left out: they are made for tests. `car:...` are the \
-         emergency brakes of cars, which otherwise hold their speed, and are valid only in the tests with which they \
-         were compared. `cruise:...` are cruise controls that were fitted to recordings without emergencies: their \
-         results in emergencies say nothing about the cars. `shield2:...` needs the true state: with the errors of the \
-         filter it has almost no state from which a plan is safe, and then brakes fully.",
+        "This page has all built-in and fitted controllers that drive by themselves, in the same tests, with the \
+         Kalman filter. It leaves out those that serve tests only (`crumple list --all`). Three groups need care. \
+         `car:...` are the emergency brakes of cars, which hold their speed until they brake; they are valid only in \
+         the tests with which they were compared. `cruise:...` are cruise controls, fitted to recordings without \
+         emergencies: their results in emergencies say nothing about the cars. `shield2:...` is made for the true \
+         state: with the errors of the filter, almost no state has a plan, and without a plan the shield brakes fully.",
     );
     page.paragraph(
-        "Command, with FOLDER as `examples/studies/openacc/fetch.py` fills it: `cargo run --release -p \
+        "The command, with the FOLDER that `examples/studies/openacc/fetch.py` fills: `cargo run --release -p \
          crumple-experiments -- controllers target/controllers recordings=FOLDER > reports/controllers.md`.",
     );
     page.heading(2, "Tests, gain and recorded drives");
@@ -31,10 +31,10 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
     );
     page.heading(2, "Collisions with each kind of follower");
     page.paragraph(format!(
-        "The first {} random scenarios of the space `{SPACE}` (seed {SEED}), which has the emergencies of `high-risk`, \
-         each with every kind of follower. In percent: the vehicle hits its leader first / the follower hits it first. \
-         Without an answer of the controller, the drive counts as a hit of the leader. `late` and `weak` are variants \
-         of `baseline`; `none` is no follower.",
+        "The scenarios are the first {} random ones of the space `{SPACE}` (seed {SEED}), which has the emergencies of \
+         `high-risk`, each with every kind of follower (defined in `driver.md`). Cells have two shares in percent: the \
+         vehicle first hits its leader / the follower first hits the vehicle. A drive in which the controller gives no \
+         answer counts as a hit of the leader.",
         config.draws
     ));
     page.plain_table(
@@ -53,18 +53,18 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
 fn column_notes(config: &RowConfig) -> [String; 5] {
     [
         DISCLAIMER.to_owned(),
-        "Suites: tests passed of those that can be run, refused tests (those outside one lane, and, with a shield, \
-         those without a guarantee), and, in brackets, the mean margin: of each passed test the share of its shortest \
-         margin that still passes, 0 for a failed one."
+        "Suites: passed tests of those that can be run, and refused tests (those outside one lane and, with a shield, \
+         those without a guarantee). Brackets have the mean margin: for each passed test, the share of its shortest \
+         margin that still passes; for a failed test, 0."
             .to_owned(),
-        "Largest gain: of a line of vehicles with the true state; above 1, oscillations grow.".to_owned(),
+        "Largest gain: that of a line of vehicles with the true state. Above 1, oscillations grow.".to_owned(),
         config
             .drives
             .as_ref()
             .map_or_else(|| "Recorded drives were not counted.".to_owned(), describe_drives),
-        "`autoware-aeb` has the values of Autoware's parameter file. With an offset of 2 m and 3 m/s² for the object \
-         it has those of its documentation. Offsets of 4 and 6 m and a response time of 2 s are values that users \
-         discuss for Autoware's cruise planner, not for its emergency brake (autoware_launch, pull request 1166)."
+        "`autoware-aeb` has the values of Autoware's parameter file. With an offset of 2 m and 3 m/s² for the object, \
+         it has the values of Autoware's documentation. Users discuss offsets of 4 and 6 m and a response time of 2 s \
+         for Autoware's cruise planner, not for its emergency brake (autoware_launch, pull request 1166)."
             .to_owned(),
     ]
 }
@@ -72,10 +72,11 @@ fn column_notes(config: &RowConfig) -> [String; 5] {
 fn describe_drives(drives: &ImportedDrives) -> String {
     let recorded = DriveComfort::of_recorded_cars(&drives.set);
     format!(
-        "Unnecessary braking: per hour with its exact interval of independent events at 95 %, and in brackets without \
-         any vehicle behind, in {} drives of {} recordings of OpenACC ({:.1} hours); the recorded cars: {}. \
-         Collisions: drives that hit the leader or end without an answer / drives that the simulated human behind \
-         hits, who starts at the gap of the recorded car and may be the cause.",
+        "Unnecessary braking: number per hour, its exact 95 % interval for independent events, and in square brackets \
+         the number without any vehicle behind, in {} drives of {} recordings of OpenACC ({:.1} hours). The recorded \
+         cars: {}. Collisions: drives in which the vehicle hits its leader or the controller gives no answer / drives \
+         in which the follower hits the vehicle. This follower, `human`, starts at the gap of the recorded car, and \
+         may be the cause.",
         drives.set.drives().len(),
         drives.recordings,
         recorded.hours,

@@ -43,7 +43,7 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         "fit events.csv --out space.toml --plot fit.svg --samples 19",
     );
     assert!(
-        stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"),
+        stdout(&fitted).starts_with("40 braking episodes in 40 clusters, of 2 vehicles\n"),
         "{}",
         stdout(&fitted)
     );

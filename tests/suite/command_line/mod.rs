@@ -317,7 +317,7 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     };
     assert_eq!(exit_code(&run("random-actions", "--expect safe")), 0);
     let output = run("random-actions", "--expect useful");
-    let message = "failed: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
+    let message = "failed: expected no collision, no unnecessary braking and no vehicle that falls behind in quiet\n";
     assert_eq!(stderr(&output), message);
     assert_prints(
         &output,
@@ -344,9 +344,13 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
         folder.path(),
         "simulate quiet.toml --controller policy --expect useful",
     );
-    assert_prints(&left, 1, &["vehicle 1 is left behind by its leader"]);
+    assert_prints(&left, 1, &["vehicle 1 falls behind its leader"]);
     let collision = run_crumple(folder.path(), "simulate paper-1 --expect useful");
-    assert_eq!(exit_code(&collision), 1, "a contact is no use either");
+    assert_eq!(
+        exit_code(&collision),
+        1,
+        "a collision is not useful, either"
+    );
 }
 
 /// A folder is a table: one line for each scenario, and a total by kind of collision, in both formats.

@@ -25,8 +25,8 @@ impl RatePerExposure {
         } = self;
         writeln!(
             out,
-            "on the road: {episodes} episodes in {clusters} waves were observed in {hours:.3} h and {kilometres:.1} km \
-             of following:"
+            "on the road: {episodes} episodes in {clusters} clusters were observed in {hours:.3} h and {kilometres:.1} \
+             km of following:"
         )?;
         if self.undescribed_brakings > 0 {
             let all = episodes + self.undescribed_brakings;

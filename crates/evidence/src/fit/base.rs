@@ -100,9 +100,9 @@ pub(super) fn describe_space(sample: &EpisodeSample, follower: &BuiltInControlle
         .max()
         .map_or(0, |last| last + 1);
     let mut about = format!(
-        "Fitted to {} braking episodes in {clusters} waves of {} vehicles each, in {:.3} h and {:.1} km of following, \
-         from {} m/s² on. The leader brakes at its hardest second's deceleration down to its lowest speed; a scenario \
-         lasts until the slowest braking of the space is over, and {TAIL_S} s more.",
+        "Fitted to {} braking episodes in {clusters} clusters, of {} vehicles each, in {:.3} h and {:.1} km of \
+         following, from {} m/s² on. The leader brakes at its hardest second's deceleration down to its lowest speed; \
+         a scenario lasts until the slowest braking of the space is over, and {TAIL_S} s more.",
         exposure.episodes,
         extraction.vehicles,
         exposure.hours,

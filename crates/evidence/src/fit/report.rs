@@ -101,7 +101,7 @@ impl<'a> FitReport<'a> {
         let exposure = &self.sample.exposure;
         writeln!(
             out,
-            "{} braking episodes in {} waves, of {} vehicles",
+            "{} braking episodes in {} clusters, of {} vehicles",
             exposure.episodes,
             self.cluster_count(),
             self.sample.extraction.vehicles

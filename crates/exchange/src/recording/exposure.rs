@@ -1,4 +1,4 @@
-//! Following exposure of a recording, and its braking waves.
+//! Following exposure of a recording, and the clusters of its braking episodes.
 
 use super::Recording;
 use super::episode::BrakingEpisode;
@@ -6,7 +6,7 @@ use super::episodes::LeaderSelection;
 use super::lead_vehicles::VehicleAhead;
 use super::motion::BRAKING_WINDOW_MS;
 
-/// Largest time between brakings of one wave, in seconds; equal to that of phases of one vehicle's braking.
+/// Largest time between brakings of one cluster, in seconds; equal to that of phases of one vehicle's braking.
 const MERGE_WITHIN_S: f64 = 5.0;
 
 /// Driving in which an episode could have begun.
@@ -58,9 +58,9 @@ pub fn following_exposure(
     sum
 }
 
-/// Returns the braking wave of each episode of one recording, numbered from 0.
+/// Returns the cluster of each braking episode of one recording, numbered from 0.
 ///
-/// Two episodes belong to one wave if the leader of one is a vehicle of the other and they brake at most 5 s apart.
+/// Two episodes belong to one cluster if the leader of one is a vehicle of the other and they brake at most 5 s apart.
 #[must_use]
 pub fn braking_clusters(episodes: &[BrakingEpisode]) -> Vec<u32> {
     let mut cluster: Vec<usize> = (0..episodes.len()).collect();

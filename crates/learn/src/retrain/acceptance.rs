@@ -228,7 +228,7 @@ fn objections_in_traffic(
 pub(super) const TRAFFIC_MEASURES: [&str; 8] = [
     "collisions",
     "hard unnecessary braking",
-    "left behind",
+    "falls behind",
     "faults in everyday",
     "rms acceleration, times idm",
     "rms jerk, times idm",

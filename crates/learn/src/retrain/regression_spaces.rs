@@ -32,8 +32,8 @@ pub struct RegressionSpaceResult {
     #[serde(alias = "contacts")]
     pub collisions: Vec<u64>,
     /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
-    /// an ego vehicle left behind. Only in spaces in which `idm` is always useful: in an emergency such braking may be
-    /// necessary.
+    /// an ego vehicle that falls behind. Only in spaces in which `idm` is always useful: in an emergency such braking
+    /// may be necessary.
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "of_no_use")]
     pub not_useful: Option<Vec<u64>>,
 }

@@ -35,7 +35,7 @@ pub struct TrafficUsefulness {
     /// Scenarios that ended in a collision.
     #[serde(alias = "contacts")]
     pub collisions: u64,
-    /// Scenarios with braking above 4 m/s² whose cause required less than 3 m/s².
+    /// Scenarios with braking above 4 m/s² where less than 3 m/s² was justified.
     #[serde(alias = "hard")]
     pub hard_braking: u64,
     /// Scenarios in which the ego vehicle fell behind its leader, at less than half its speed or far behind it.

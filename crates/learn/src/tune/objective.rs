@@ -16,8 +16,8 @@ use crumple_spaces::ScenarioSpace;
 pub enum TuningObjective {
     /// The weighted mean of the collision shares in the spaces, plus a penalty in the spaces `traffic` and `everyday`.
     ///
-    /// - In `traffic`: the share of drives with a collision, with unnecessary hard braking (above 4 m/s², of which less
-    ///   than 3 m/s² had a cause) or left behind, each counted.
+    /// - In `traffic`: the share of drives with a collision, that with hard unnecessary braking (above 4 m/s² where
+    ///   less than 3 m/s² was justified), and that in which the vehicle falls behind.
     /// - In `everyday`: the share of drives with one of these faults or any unnecessary braking, if `idm` has none.
     /// - Half the excess over the limits of comfort and time gap: 1.2 times the RMS of acceleration (in `traffic`) and
     ///   jerk of `idm` (the excess is relative), and a mean time gap in `traffic` from 1.2 to 2.1 s (the excess is in

@@ -185,11 +185,11 @@ impl TuningReport {
             }
             TuningObjective::Both => format!(
                 "The objective is the weighted mean of their collision shares, plus a penalty. The penalty has the \
-                 shares of drives in `traffic` with a collision, with unnecessary hard braking and left behind. It has \
-                 the share of drives in `everyday` with one of these faults or any unnecessary braking, if `idm` has \
-                 none. The rest is {EXCESS_WEIGHT} times a sum: the relative excesses of RMS acceleration and of RMS \
-                 jerk (also in `everyday`) above {MAX_RATIO_TO_IDM} times those of `idm`, and the distance of the \
-                 mean time gap from {closest_s} to {furthest_s} s, in seconds."
+                 shares of drives in `traffic` with a collision, with hard unnecessary braking, and in which the \
+                 vehicle falls behind. It has the share of drives in `everyday` with one of these faults or any \
+                 unnecessary braking, if `idm` has none. The rest is {EXCESS_WEIGHT} times a sum: the relative \
+                 excesses of RMS acceleration and of RMS jerk (also in `everyday`) above {MAX_RATIO_TO_IDM} times \
+                 those of `idm`, and the distance of the mean time gap from {closest_s} to {furthest_s} s, in seconds."
             ),
         }
     }
@@ -235,10 +235,10 @@ impl TuningReport {
                 report.format_share(usefulness.collisions)
             }),
             (
-                "unnecessary hard braking in `traffic`",
+                "hard unnecessary braking in `traffic`",
                 |usefulness, report| report.format_share(usefulness.hard_braking),
             ),
-            ("left behind in `traffic`", |usefulness, report| {
+            ("falls behind in `traffic`", |usefulness, report| {
                 report.format_share(usefulness.fell_behind)
             }),
             ("faults in `everyday`", |usefulness, report| {

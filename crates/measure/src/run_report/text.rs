@@ -136,7 +136,7 @@ impl RunReport<'_> {
     fn describe_fell_behind(&self) -> impl Iterator<Item = String> {
         self.fell_behind
             .iter()
-            .map(|vehicle| format!("vehicle {vehicle} is left behind by its leader"))
+            .map(|vehicle| format!("vehicle {vehicle} falls behind its leader"))
     }
 
     fn specification_lines(&self) -> Vec<String> {

@@ -101,7 +101,7 @@ impl<'a> ProfileSimulator<'a> {
         let scenario = self.with_leader_script(cells_mps2)?.edited(|spec| {
             spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
             spec.about = format!(
-                "A lead braking found by convex programming from {}.",
+                "Braking of the leader, found by convex programming from {}.",
                 self.scenario.spec().name
             );
         })?;

@@ -3,7 +3,7 @@
 //! `idm-damped` is the Intelligent Driver Model with twice the acceleration, so that no oscillation grows in a line of
 //! such vehicles.
 //!
-//! The others are emergency brakes of production cars. Source: trials behind a stopped lead vehicle without braking by
+//! The others are emergency brakes of production cars. Source: trials behind a stopped leader without braking by
 //! a driver (NHTSA, final rule of FMVSS 127, 89 FR 39686, table 16). The experiment `car_brakes` fits one number to
 //! each car, its time to collision, and the share of standing vehicles that it misses. The other settings are
 //! assumptions, the same for all cars. `reports/credibility.md` compares the models with the tests that were not used.

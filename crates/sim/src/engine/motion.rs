@@ -316,13 +316,13 @@ mod tests {
             let collision = first_collision(front, rear, 2.0, dt);
             match (collision, crossing) {
                 (Some(time), crossing) => {
-                    prop_assert!(gap_at(time).abs() < 1e-9, "gap {} at contact", gap_at(time));
+                    prop_assert!(gap_at(time).abs() < 1e-9, "gap {} at the collision", gap_at(time));
                     if let Some(crossing) = crossing {
                         prop_assert!(time <= grid[crossing] + 1e-12);
                         prop_assert!(crossing == 0 || time >= grid[crossing - 1] - 1e-9);
                     }
                 }
-                (None, Some(_)) => prop_assert!(false, "missed a contact"),
+                (None, Some(_)) => prop_assert!(false, "missed a collision"),
                 (None, None) => {}
             }
             let brute = grid[1..].iter().map(|&t| gap_at(t)).fold(f64::INFINITY, f64::min);

@@ -115,7 +115,7 @@ pub struct VehicleSpec {
     /// Initial speed, in m/s.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub speed_mps: f64,
-    /// Driver: a lead profile, a controller, or the controller under test.
+    /// Driver: the profile of a leader, a controller, or the controller under test.
     pub driver: Driver,
     /// Length from bumper to bumper, in metres. Default: the class's.
     #[serde(default, skip_serializing_if = "Option::is_none")]

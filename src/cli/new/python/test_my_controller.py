@@ -23,5 +23,5 @@ def test_it_avoids_avoidable_collisions(scenario):
 
 @slow
 @given(testing.scenarios("traffic"))
-def test_it_brakes_only_with_cause(scenario):
+def test_it_never_brakes_unnecessarily(scenario):
     testing.check(decide, scenario, Property.no_unnecessary_braking())

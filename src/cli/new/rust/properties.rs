@@ -25,7 +25,7 @@ fn avoids_avoidable_collisions() {
 }
 
 #[test]
-fn brakes_only_with_cause() {
+fn never_brakes_unnecessarily() {
     controller()
         .on("traffic")
         .property(Property::no_unnecessary_braking())

@@ -40,7 +40,8 @@ const TERMS: [(&str, &str); 25] = [
     ("ego vehicle", "the vehicle with the controller under test"),
     (
         "falls behind",
-        "at the end of a drive the leader moves faster than 1 m/s, and the ego vehicle at less than half its speed",
+        "at the end of a drive, the leader moves faster than 1 m/s, and the ego vehicle has less than half the \
+         leader's speed, or a gap above both the initial gap and 20 m plus 6 s times the leader's speed",
     ),
     (
         "hard braking",

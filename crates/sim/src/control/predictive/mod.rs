@@ -124,7 +124,7 @@ struct State {
 
 impl BuiltIn for Predictive {
     const NAME: &'static str = "predictive";
-    const SUMMARY: &'static str = "follows by idm, wakes an inattentive follower early, and stops \
+    const SUMMARY: &'static str = "follows like idm, brakes early so that an inattentive follower brakes, and stops \
         between leader and follower";
     const OBSERVES_FOLLOWER: bool = true;
     type Settings = PredictiveSettings;

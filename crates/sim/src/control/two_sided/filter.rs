@@ -360,7 +360,7 @@ pub struct TwoSidedFilter {
     planner: Planner,
     run: ObservedRun,
     stored: Option<StoredPlan>,
-    /// Whether this step searches all plans without a limit of work, as at the first step and after a command that
+    /// True if this step searches all plans without a limit of work, as at the first step and after a command that
     /// another controller has replaced: a plan that is not found then costs a collision. After a step outside the set,
     /// nothing is promised, so that later searches are limited.
     searches_all: bool,
