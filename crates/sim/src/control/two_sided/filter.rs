@@ -19,7 +19,7 @@ const MAX_WORK_PER_STEP: usize = 40 * FIRING_WORK;
 
 /// The same below the level to keep. A filter that tests fewer plans there executes its plan sooner, and raises the
 /// level before the leader needs it: of 2000 scenarios of `high-risk`, `shield2:idm` collides in 10 instead of 57.
-const MAX_WORK_BELOW_LEVEL: usize = 10 * FIRING_WORK;
+const MAX_WORK_BELOW_LEVEL: usize = 20 * FIRING_WORK;
 
 /// Steps in which a filter that replaces commands has tried all shapes of plans once.
 const PLAN_ROTATION: usize = 7;
