@@ -2,7 +2,7 @@
 
 use super::VehicleSpec;
 
-/// Response of a vehicle to commands within its limits: what kernels, proofs and programs must know of it.
+/// Response of a vehicle to commands within its limits: what safety kernels, proofs and quadratic programs must know.
 ///
 /// The plant `multi-body` and noise are not part of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
