@@ -19,8 +19,8 @@ const MAX_WORK_PER_STEP: usize = 40 * FIRING_WORK;
 
 /// Work of a search at most below the level to keep. A filter that tests fewer plans there executes its plan sooner,
 /// and raises the level before the leader needs it: of 2000 scenarios of `high-risk`, `shield2:idm` collides in 24
-/// instead of 57. With half of this work, it collides in 10, but more often with a `human` behind, and brakes more often
-/// without need.
+/// instead of 57. With half of this work, it collides in 10, but more often with a `human` behind, and brakes more
+/// often without need.
 const MAX_WORK_BELOW_LEVEL: usize = 20 * FIRING_WORK;
 
 /// Steps in which a filter that replaces commands has tried all shapes of plans once.
