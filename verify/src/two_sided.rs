@@ -205,16 +205,17 @@ impl CoveredFollowers {
     pub fn describe(&self) -> String {
         let [brake, drift, reaction] =
             [self.brake_mps2, self.drift_mps2, self.reaction_s].map(format_number);
-        let drives = format!("accelerates or slows by at most {drift} m/s² before");
+        let drives = format!("before that accelerates or slows by at most {drift} m/s²");
         match self.brakes_when {
             FollowerCue::TtcBelowS(ttc_s) => format!(
                 "brakes at {brake} m/s² or more within {reaction} s once the time to collision is below {} s at a \
-                 step, to standstill, and {drives}",
+                 step, keeps braking to standstill, and {drives}",
                 format_number(ttc_s)
             ),
             FollowerCue::EgoBrakes => format!(
                 "brakes at {brake} m/s² or more within {reaction} s after the vehicle ahead of it begins to brake by \
-                 at least {NOTICED_BRAKE_MPS2} m/s², as long as that brakes or stands, and {drives}"
+                 at least {NOTICED_BRAKE_MPS2} m/s², keeps braking as long as that vehicle brakes or stands, and \
+                 {drives}"
             ),
         }
     }

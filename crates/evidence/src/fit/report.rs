@@ -253,8 +253,8 @@ impl FittedFeature {
         let point_count = self.point_mass.map_or(0, |point| point.count);
         writeln!(
             out,
-            "  tails: {} below the smallest of {}, {:.3}{unit} ({} in the lowest tenth); {} beyond the largest, \
-             {:.3}{unit} ({} in the highest)",
+            "  tails: probability {} below the smallest of {} values, {:.3}{unit} ({} of them in the lowest tenth); {} \
+             above the largest, {:.3}{unit} ({} in the highest tenth)",
             format_rounded(tails.below_smallest, 3),
             self.sorted.len() as u64 - point_count,
             tails.smallest,

@@ -199,7 +199,9 @@ fn describe_margin_end(margin: &Margin) -> String {
             )
         }
         MarginEnd::Holds { parts } => {
-            format!("passes from {from} to {to} {unit} at the ends of {parts} parts")
+            format!(
+                "passes at all tried values, the ends of {parts} equal parts, from {from} to {to} {unit}"
+            )
         }
         MarginEnd::Boundary {
             passes_at,
