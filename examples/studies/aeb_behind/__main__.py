@@ -44,8 +44,8 @@ if __name__ == "__main__":
             sensitivity.sensitivity(Path(crumple).resolve(), Path(folder), None, False)
         case ["page", folder, path]:
             folder, path = Path(folder), Path(path)
-            others = study.load(folder / "repeated", study.SEED_OF_REPETITION)
-            page.check(path, study.load(folder), others, suite_verdicts(folder), is_written)
+            results, others = study.load(folder), study.load(folder / "repeated", study.SEED_OF_REPETITION)
+            page.check(path, results, others, suite_verdicts(folder), is_written)
             sensitivity.sensitivity(None, folder, path, is_written)
         case ["bootstrap", folder]:
             bootstrap.main(Path(folder))

@@ -9,15 +9,16 @@ from study import CONFORMING, HUMAN, QUESTIONS, SYSTEMS
 SPACE = "emergencies"
 ASSUMPTIONS = QUESTIONS["assumptions"]
 RULE = QUESTIONS["rule"]
+# Names of the assumptions, which the introduction of the page explains.
 WORDS = {
-    "hold": "vehicles hold their brakes",
-    "coast": "vehicles coast",
-    "kalman": "cars observe through sensors and a filter",
-    "truth": "cars observe the true state",
-    4: "followers are of four types",
-    3: "followers are of three types",
-    0: "no follower is a lorry",
-    50: "half of the followers are lorries",
+    "hold": "hold",
+    "coast": "coast",
+    "kalman": "sensors",
+    "truth": "true state",
+    4: "4 types",
+    3: "3 types",
+    0: "no lorries",
+    50: "half lorries",
 }
 
 
@@ -193,21 +194,21 @@ def cover(combinations_of_all, wanted):
 
 
 def in_words(conjunctions, start):
-    """Returns conjunctions as a clause."""
+    """Returns conjunctions as a phrase."""
     parts = []
     for conjunction in conjunctions:
-        *first, last = [WORDS[value] for value in conjunction if value is not None]
-        parts.append(f"{start} " + (f"{', '.join(first)} and {last}" if first else last))
-    return ", or ".join(parts)
+        *first, last = [f"*{WORDS[value]}*" for value in conjunction if value is not None]
+        parts.append(f"{', '.join(first)} and {last}" if first else last)
+    return f"{start} " + ", or with ".join(parts)
 
 
 def condition(sides, wanted):
-    """Returns the assumptions under which combinations have the wanted side, as a clause; empty if all have it."""
+    """Returns the assumptions under which combinations have the wanted side, as a phrase; empty if all have it."""
     own = {key for key, value in sides.items() if value == wanted}
     if len(own) == len(sides):
         return ""
     only, unless = cover(list(sides), own), cover(list(sides), set(sides) - own)
-    return in_words(unless, "unless") if len(unless) < len(only) else in_words(only, "if")
+    return in_words(unless, "except with") if len(unless) < len(only) else in_words(only, "with")
 
 
 def conditional(sides, words):
@@ -260,7 +261,7 @@ def answer_of_change(question, by_system):
     span, ends = spans({(name, key): bounds for name, found in by_system.items() for key, bounds in found.items()})
     count = sum(verdict(found, RULE["limit"][question["measure"]]).startswith(NO_ANSWER)
                 for found in by_system.values())
-    return (f"{NO_ANSWER} for {count} of the {len(by_system)} models of these cars, which are extrapolated here "
+    return (f"{NO_ANSWER} for {count} of {len(by_system)} models of these cars, extrapolated here "
             f"({len(systems[most])} of them: {most}{others}): {span} ({ends}).")
 
 
@@ -268,8 +269,8 @@ def answer_of_left(question, found):
     span, ends = spans(found, False)
     is_left = all(bounds[1] > question["limit"] for bounds in found.values())
     word = "No" if is_left else NO_ANSWER
-    return (f"{word}, in these emergencies, which go beyond the tests: {span} of 100 still end in a collision "
-            f"({ends}); the limit is {question['limit']:g}.")
+    return (f"{word}, in these emergencies, which go beyond the tests: {span} ({ends}) still end in a collision; the "
+            f"limit is {question['limit']:g}.")
 
 
 def answer_of_field(question, results, found, thresholds):
@@ -283,9 +284,8 @@ def answer_of_field(question, results, found, thresholds):
     span, ends = spans(found, digits=0)
     committed = group(compare(question, results, has_floor=True)[0])["all"]
     agree = sum(side(bounds, reported) == 0 for bounds in committed.values())
-    changed = (f"**The script committed before the run answers otherwise**: by a fault, its intervals are too wide "
-               f"({spans(committed, digits=0)[1]} %), and {agree} of {len(committed)} contain +{reported:.0f} % "
-               "([changes](#changes-after-the-run)).")
+    changed = (f"**Changed after the run**: the first script, by a fault, had wider intervals "
+               f"({spans(committed, digits=0)[1]} %), and {agree} of {len(committed)} contained +{reported:.0f} %.")
     return (f"{NO_ANSWER} ({parts}; {inside} of {len(sides)} intervals contain +{reported:.0f} %): {span} % "
             f"({ends} %), at {extent(thresholds, False)} s. {changed}")
 

@@ -13,7 +13,7 @@ from study import ADDED, ASSISTED, BRAKE, CONFORMING, HUMAN, NONE, QUESTIONS, SY
 TITLE = "# Emergency braking and rear-end collisions"
 MAIN = ("hold", "kalman")
 Z = quantile(0.05)
-SHOWN_THRESHOLDS_S = (0.6, 1.0, 1.4, 1.6, 2.0, 2.4, 3.0)
+SHOWN_THRESHOLDS_S = (1.0, 1.4, 1.6, 2.0, 2.4, 3.0)
 # The first part fits on one page of A4 in 11 points, with margins of 2 cm.
 MAX_WORDS, MAX_WORDS_OF_FIRST_PART, MAX_COLUMNS = 2500, 560, 6
 # Share of lorries among the vehicles behind in the tables, in percent: that of vehicle-miles in the United States.
@@ -26,7 +26,7 @@ FIELD = next([round(100 * question[name]) for name in ("striking", "struck")]
 MAX_ERROR_PERCENT = 3
 SHOWN = [NONE, "emergency-brake", BRAKE, "emergency-brake,ttc_s=3",
          *(name for name in SYSTEMS if name.startswith("car:")), "autoware-aeb", "openpilot", "acc-aeb", "idm",
-         "audi-a4-short", "audi-a4-long", *ADDED, HUMAN, ASSISTED, CONFORMING, "human,aeb_ttc_s=3"]
+         *ADDED, HUMAN, ASSISTED, CONFORMING, "human,aeb_ttc_s=3"]
 
 
 def label(name):
@@ -232,18 +232,18 @@ def answers_csv(results):
 
 INTRODUCTION = """\
 In simulated emergencies, a car brakes to a stop, the car under test follows it, and another vehicle follows that car.
-[Questions](../examples/studies/aeb_behind/questions.toml) and rule were committed before the run, whose seed was new
+[Questions](../examples/studies/aeb_behind/questions.toml) and rule were fixed before the run, whose seed was new
 ([changes since then](#changes-after-the-run)). **Speeds, braking and followers are chosen: no value is one of real
 traffic.**
 
-An answer holds in all COMBINATIONS combinations of four assumptions (FEW in questions 10 and 11, with `human` behind):
-after an impact, vehicles hold their brakes or coast; cars observe through sensors and a filter, or the true state;
-followers are of four types alike (`human`, `idm`, `acc-aeb`, `baseline`), or of the first three; none or half of them
-are lorries. Otherwise the sentence states under which assumptions the interval lies on one side: elsewhere it contains
-0. Values per 100 emergencies, for injuries per 1000, are the smallest and the largest; brackets have the outermost ends
-of the intervals, corrected for COMPARISONS comparisons, of EMERGENCIES emergencies. Half lorries mean more emergencies,
-thus shorter intervals. An interval around 0 does not show that nothing changes. Combinations share emergencies: they
-confirm each other little. [Other assumptions](#sensitivity) may change answers."""
+A common answer holds in all COMBINATIONS combinations of four assumptions: after an impact, vehicles *hold* their
+brakes or *coast*; cars observe through *sensors* and a filter, or the *true state*; followers are `human`, `idm`,
+`acc-aeb` and `baseline` alike (*4 types*) or the first three (*3 types*), in questions 10 and 11 `human` only (FEW
+combinations); *no lorries* or *half lorries* are among them. Otherwise the answer names the combinations whose interval
+lies on one side of 0 (question 12: of +20 %). An interval around 0 does not show that nothing changes. Values per 100
+emergencies (injuries: per 1000) are the smallest and the largest; brackets have the outermost ends of the intervals,
+corrected for COMPARISONS comparisons, of EMERGENCIES emergencies. Combinations share emergencies, so that they confirm
+each other little. [Other assumptions](#sensitivity) may change answers."""
 
 
 def sizes(results):
