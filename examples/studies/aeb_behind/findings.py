@@ -280,13 +280,12 @@ def answer_of_field(question, results, found, thresholds):
     reported = 100 * question["struck"]
     sides = {key: side(bounds, reported) for key, bounds in found.items()}
     parts = conditional(sides, {-1: "lower", 1: "higher"})
-    inside = sum(value == 0 for value in sides.values())
     span, ends = spans(found, digits=0)
     committed = group(compare(question, results, has_floor=True)[0])["all"]
     agree = sum(side(bounds, reported) == 0 for bounds in committed.values())
     changed = (f"**Changed after the run**: the first script, by a fault, had wider intervals "
-               f"({spans(committed, digits=0)[1]} %), and {agree} of {len(committed)} contained +{reported:.0f} %.")
-    return (f"{NO_ANSWER} ({parts}; {inside} of {len(sides)} intervals contain +{reported:.0f} %): {span} % "
+               f"({spans(committed, digits=0)[1]} %), {agree} of {len(committed)} around +{reported:.0f} %.")
+    return (f"{NO_ANSWER} ({parts}): {span} % "
             f"({ends} %), at {extent(thresholds, False)} s. {changed}")
 
 

@@ -14,8 +14,8 @@ TITLE = "# Emergency braking and rear-end collisions"
 MAIN = ("hold", "kalman")
 Z = quantile(0.05)
 SHOWN_THRESHOLDS_S = (1.0, 1.4, 1.6, 2.0, 2.4, 3.0)
-# The first part fits on one page of A4 in 11 points, with margins of 2 cm.
-MAX_WORDS, MAX_WORDS_OF_FIRST_PART, MAX_COLUMNS = 2500, 560, 6
+# A first part of this length fits on one printed page (A4, 10.5 points, margins of 2 cm).
+MAX_WORDS, MAX_WORDS_OF_FIRST_PART, MAX_COLUMNS = 2500, 610, 6
 # Share of lorries among the vehicles behind in the tables, in percent: that of vehicle-miles in the United States.
 LORRY_PERCENT = 10
 LABELS = {NONE: "no brake", HUMAN: "human"}
@@ -239,11 +239,11 @@ traffic.**
 A common answer holds in all COMBINATIONS combinations of four assumptions: after an impact, vehicles *hold* their
 brakes or *coast*; cars observe through *sensors* and a filter, or the *true state*; followers are `human`, `idm`,
 `acc-aeb` and `baseline` alike (*4 types*) or the first three (*3 types*), in questions 10 and 11 `human` only (FEW
-combinations); *no lorries* or *half lorries* are among them. Otherwise the answer names the combinations whose interval
-lies on one side of 0 (question 12: of +20 %). An interval around 0 does not show that nothing changes. Values per 100
-emergencies (injuries: per 1000) are the smallest and the largest; brackets have the outermost ends of the intervals,
-corrected for COMPARISONS comparisons, of EMERGENCIES emergencies. Combinations share emergencies, so that they confirm
-each other little. [Other assumptions](#sensitivity) may change answers."""
+combinations); *no lorries* or *half lorries* are among them. Other answers name the combinations whose interval lies on
+one side of 0 (question 12: of +20 %). Elsewhere a change is not excluded. Values per 100 emergencies (injuries: per
+1000) are the smallest and the largest, brackets the outermost ends of intervals, corrected for COMPARISONS comparisons,
+of EMERGENCIES emergencies. Combinations share emergencies: they confirm each other little. [Other
+assumptions](#sensitivity) may change answers."""
 
 
 def sizes(results):
