@@ -13,7 +13,7 @@ from study import ADDED, ASSISTED, BRAKE, CONFORMING, HUMAN, NONE, QUESTIONS, SY
 TITLE = "# Emergency braking and rear-end collisions"
 MAIN = ("hold", "kalman")
 Z = quantile(0.05)
-SHOWN_THRESHOLDS_S = (1.0, 1.4, 1.6, 2.0, 2.4, 3.0)
+SHOWN_THRESHOLDS_S = (1.0, 1.4, 2.0, 3.0)
 # A first part of this length fits on one printed page (A4, 10.5 points, margins of 2 cm).
 MAX_WORDS, MAX_WORDS_OF_FIRST_PART, MAX_COLUMNS = 2500, 610, 6
 # Share of lorries among the vehicles behind in the tables, in percent: that of vehicle-miles in the United States.
@@ -24,9 +24,9 @@ FIELD = next([round(100 * question[name]) for name in ("striking", "struck")]
              for question in QUESTIONS["questions"] if question["kind"] == "field")
 # Largest half of an interval in the table of systems, in percent, which the page states.
 MAX_ERROR_PERCENT = 3
-SHOWN = [NONE, "emergency-brake", BRAKE, "emergency-brake,ttc_s=3",
+SHOWN = [NONE, "emergency-brake", BRAKE,
          *(name for name in SYSTEMS if name.startswith("car:")), "autoware-aeb", "openpilot", "acc-aeb", "idm",
-         *ADDED, HUMAN, ASSISTED, CONFORMING, "human,aeb_ttc_s=3"]
+         *ADDED, HUMAN, ASSISTED, CONFORMING]
 
 
 def label(name):
@@ -79,7 +79,7 @@ def lorries_table(results):
     rows = [(f"{percent} %", *(changed(part, weights(FOLLOWERS, percent), pair, measure)
                                for pair, measure in ((PAIRS[1], "behind"), (PAIRS[1], "harm"), (PAIRS[2], "behind"),
                                                      (PAIRS[2], "harm"))))
-            for percent in range(0, 51, 10)]
+            for percent in (0, LORRY_PERCENT, 30, 50)]
     return table(["lorries behind", "human + brake 2 s: hit from behind", "human + brake 2 s: serious injuries",
                   "brake 2 s: hit from behind", "brake 2 s: serious injuries"], rows)
 
@@ -103,7 +103,7 @@ def easy_row(part):
 
 def conforming_table(results):
     part, rows = results[MAIN], []
-    kinds = [(f"{percent} %", percent, lambda *_: True) for percent in (0, 20, 40, 60, 80, 100)]
+    kinds = [(f"{percent} %", percent, lambda *_: True) for percent in (0, 25, 50, 75, 100)]
     for name, percent, is_wanted in [*kinds, (easy_row(part), 100, is_easy)]:
         means = [conforming_level(part, percent / 100, measure, weights(["human"], lorries), is_wanted)
                  for measure, lorries in (("ahead", 0), ("behind", 0), ("any", 0), ("any", 50))]

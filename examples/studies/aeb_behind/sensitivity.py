@@ -35,7 +35,7 @@ CHANGES = {
     "leader brakes more (mean share 0.7)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
                                                             "mean = 0.7, deviation = 0.2")]),
     "wet road (mean friction 0.6)": ("", "kalman", [("mean = 1.0, deviation = 0.2", "mean = 0.6, deviation = 0.2")]),
-    "sensors with a latency of 0.2 s and a range of 60 m": ("", "kalman", [
+    "sensors: latency 0.2 s, range 60 m": ("", "kalman", [
         ("duration_s = 25.0\n", "duration_s = 25.0\nsensors.faults = { latency_s = 0.2, range_m = 60.0 }\n")]),
 }
 
