@@ -50,6 +50,7 @@ mod printed;
 mod processes;
 mod reach;
 mod readme;
+mod rear_end_study;
 mod reference_drivers;
 mod report;
 mod retrained;

@@ -9,15 +9,16 @@ from study import CONFORMING, HUMAN, QUESTIONS, SYSTEMS
 SPACE = "emergencies"
 ASSUMPTIONS = QUESTIONS["assumptions"]
 RULE = QUESTIONS["rule"]
+# Names of the assumptions, which the introduction of the page explains.
 WORDS = {
-    "hold": "vehicles hold their brakes",
-    "coast": "vehicles coast",
-    "kalman": "cars observe through sensors and a filter",
-    "truth": "cars observe the true state",
-    4: "followers are of four types",
-    3: "followers are of three types",
-    0: "no follower is a lorry",
-    50: "half of the followers are lorries",
+    "hold": "hold",
+    "coast": "coast",
+    "kalman": "sensors",
+    "truth": "true state",
+    4: "4 types",
+    3: "3 types",
+    0: "no lorries",
+    50: "half lorries",
 }
 
 
@@ -89,12 +90,20 @@ def threshold_s(name):
     return float(name.split("=")[1]) if "=" in name else 0.0
 
 
+def relative_change(part, name, measure, of):
+    """Returns the change of a measure against a human without a brake in percent, and its error (delta method)."""
+    own, alone = part[SPACE, name], part[SPACE, HUMAN]
+    means = [level(drives, measure).mean(of)[0] for drives in (own, alone)]
+    ratio = means[0] / means[1]
+    linear = [after - ratio * before for after, before in zip(getattr(own, measure), getattr(alone, measure))]
+    error = 100 * Stratified(own.strata, linear, measure, has_floor=False).mean(of)[1] / means[1]
+    return 100 * (ratio - 1), error
+
+
 def relative_curve(part, of):
-    """Returns (threshold, change of striking, change of being struck) against a human without a brake, as shares."""
-    means = [[level(part[SPACE, name], measure).mean(of)[0] for measure in ("ahead", "behind")]
-             for name in assisted_systems()]
-    return [(threshold_s(name), *(own / first - 1 for own, first in zip(one, means[0])))
-            for name, one in zip(assisted_systems(), means)]
+    """Returns (threshold, change of striking, change of being struck) against a human without a brake, in percent."""
+    return [(threshold_s(name), *(relative_change(part, name, measure, of)[0] for measure in ("ahead", "behind")))
+            for name in assisted_systems()]
 
 
 def struck_where(means, striking):
@@ -113,7 +122,7 @@ def field_point(part, of, question, has_floor):
     striking = question["striking"]
     curve = list(zip(assisted_systems(), relative_curve(part, of)))
     for (below, (low_s, low, _)), (above, (high_s, high, _)) in zip(curve, curve[1:]):
-        if low >= striking > high:
+        if low >= 100 * striking > high:
             break
     else:
         return None
@@ -160,20 +169,52 @@ def side(bounds, reference=0.0):
     return int(bounds[1] > reference) - int(bounds[2] < reference)
 
 
+def holds(conjunction, combination):
+    """Returns true if a combination has all values of a conjunction; `None` stands for any value."""
+    return all(value in (None, own) for value, own in zip(conjunction, combination))
+
+
+def length(conjunctions):
+    """Returns the number of values that some conjunctions name."""
+    return sum(value is not None for conjunction in conjunctions for value in conjunction)
+
+
+def cover(combinations_of_all, wanted):
+    """Returns the shortest list of conjunctions of assumptions that hold in exactly the wanted combinations."""
+    values = [[None, *dict.fromkeys(of)] for of in zip(*combinations_of_all)]
+    held = {conjunction: {one for one in combinations_of_all if holds(conjunction, one)}
+            for conjunction in itertools.product(*values)}
+    inside = [one for one in held if held[one] and held[one] <= wanted]
+    largest = [one for one in inside if not any(held[one] < held[other] for other in inside)]
+    covers = (chosen for count in range(1, len(largest) + 1) for chosen in itertools.combinations(largest, count)
+              if set().union(*(held[one] for one in chosen)) == wanted)
+    first = next(covers)
+    shortest = min([first, *itertools.takewhile(lambda chosen: len(chosen) == len(first), covers)], key=length)
+    return sorted(shortest, key=lambda conjunction: [value is None for value in conjunction])
+
+
+def in_words(conjunctions, start):
+    """Returns conjunctions as a phrase."""
+    parts = []
+    for conjunction in conjunctions:
+        *first, last = [f"*{WORDS[value]}*" for value in conjunction if value is not None]
+        parts.append(f"{', '.join(first)} and {last}" if first else last)
+    return f"{start} " + ", or with ".join(parts)
+
+
 def condition(sides, wanted):
-    """Returns the single assumptions under which all combinations have the wanted side."""
-    levels = [level for place in range(4)
-              for level in dict.fromkeys(key[place] for key in sides)
-              if len({key[place] for key in sides}) > 1
-              and all(value == wanted for key, value in sides.items() if key[place] == level)]
-    return " or ".join(WORDS[level] for level in levels)
+    """Returns the assumptions under which combinations have the wanted side, as a phrase; empty if all have it."""
+    own = {key for key, value in sides.items() if value == wanted}
+    if len(own) == len(sides):
+        return ""
+    only, unless = cover(list(sides), own), cover(list(sides), set(sides) - own)
+    return in_words(unless, "except with") if len(unless) < len(only) else in_words(only, "with")
 
 
-def counted(sides, wanted, word):
-    """Returns in how many combinations an answer holds, and the single assumptions under which it always does."""
-    count = sum(value == wanted for value in sides.values())
-    only = condition(sides, wanted)
-    return f"{word} in {count} of {len(sides)}" + (f", always if {only}" if only else "")
+def conditional(sides, words):
+    """Returns each answer that some combinations have, with its condition."""
+    return "; ".join(f"{word} {condition(sides, wanted)}".strip() for wanted, word in words.items()
+                     if wanted in sides.values()) or "every interval contains 0"
 
 
 def spans(found, is_signed=True, digits=1):
@@ -183,19 +224,21 @@ def spans(found, is_signed=True, digits=1):
     return extent([bounds[0] for bounds in found.values()], is_signed, digits), f"{low}…{high}"
 
 
+CHANGES = {1: "more", -1: "fewer"}
+NO_ANSWER = "No common answer"
+
+
 def verdict(found, limit):
     """Returns the answer of one comparison in all combinations."""
     sides = {key: side(bounds) for key, bounds in found.items()}
     span, ends = spans(found)
     values = f"{span} ({ends})."
-    words = {1: "more", -1: "fewer"}
-    for wanted, word in words.items():
+    for wanted, word in CHANGES.items():
         if all(value == wanted for value in sides.values()):
             return f"{word.capitalize()}: {values}"
     if limit and all(-limit < bounds[1] and bounds[2] < limit for bounds in found.values()):
         return f"The change is less than {limit:g}: {values}"
-    parts = [counted(sides, wanted, word) for wanted, word in words.items() if wanted in sides.values()]
-    return f"No common answer ({'; '.join(parts) or 'every interval contains 0'}): {values}"
+    return f"{NO_ANSWER} ({conditional(sides, CHANGES)}): {values}"
 
 
 def group(found):
@@ -207,19 +250,27 @@ def group(found):
 
 
 def answer_of_change(question, by_system):
-    answers = [verdict(found, RULE["limit"][question["measure"]]) for found in by_system.values()]
-    if len(answers) == 1:
-        return answers[0]
-    count = sum(text.startswith("No common answer") for text in answers)
-    models = f"any of the {count} models" if count == len(answers) else f"{count} of the {len(answers)} models"
-    return f"No common answer for {models} of these cars: the table below has each."
+    if len(by_system) == 1:
+        return verdict(*by_system.values(), RULE["limit"][question["measure"]])
+    systems = {}
+    for name, found in by_system.items():
+        sides = {key: side(bounds) for key, bounds in found.items()}
+        systems.setdefault(conditional(sides, CHANGES), []).append(f"`{name}`")
+    most = max(systems, key=lambda parts: len(systems[parts]))
+    others = "".join(f"; {', '.join(names)}: {parts}" for parts, names in systems.items() if parts != most)
+    span, ends = spans({(name, key): bounds for name, found in by_system.items() for key, bounds in found.items()})
+    count = sum(verdict(found, RULE["limit"][question["measure"]]).startswith(NO_ANSWER)
+                for found in by_system.values())
+    return (f"{NO_ANSWER} for {count} of {len(by_system)} models of these cars, extrapolated here "
+            f"({len(systems[most])} of them: {most}{others}): {span} ({ends}).")
 
 
 def answer_of_left(question, found):
     span, ends = spans(found, False)
     is_left = all(bounds[1] > question["limit"] for bounds in found.values())
-    word = f"No (more than {question['limit']:g} of 100)" if is_left else "No common answer"
-    return f"{word}: {span} still end in a collision ({ends})."
+    word = "No" if is_left else NO_ANSWER
+    return (f"{word}, in these emergencies, which go beyond the tests: {span} ({ends}) still end in a collision; the "
+            f"limit is {question['limit']:g}.")
 
 
 def answer_of_field(question, results, found, thresholds):
@@ -228,16 +279,13 @@ def answer_of_field(question, results, found, thresholds):
         return "No answer: in some combinations no threshold up to 3 s halves the collisions ahead."
     reported = 100 * question["struck"]
     sides = {key: side(bounds, reported) for key, bounds in found.items()}
-    parts = [counted(sides, wanted, word) for wanted, word in ((-1, "lower"), (1, "higher"))
-             if wanted in sides.values()]
-    inside = sum(value == 0 for value in sides.values())
+    parts = conditional(sides, {-1: "lower", 1: "higher"})
     span, ends = spans(found, digits=0)
     committed = group(compare(question, results, has_floor=True)[0])["all"]
     agree = sum(side(bounds, reported) == 0 for bounds in committed.values())
-    changed = (f"**The script committed before the run answers otherwise**: by a fault, its intervals are too wide "
-               f"({spans(committed, digits=0)[1]} %), and {agree} of {len(committed)} contain +{reported:.0f} % "
-               "([changes](#changes-after-the-run)).")
-    return (f"No common answer ({'; '.join(parts)}; {inside} intervals contain +{reported:.0f} %): {span} % "
+    changed = (f"**Changed after the run**: the first script, by a fault, had wider intervals "
+               f"({spans(committed, digits=0)[1]} %), {agree} of {len(committed)} around +{reported:.0f} %.")
+    return (f"{NO_ANSWER} ({parts}): {span} % "
             f"({ends} %), at {extent(thresholds, False)} s. {changed}")
 
 
@@ -254,6 +302,21 @@ def answer(question, results):
     return answer_of_field(question, results, by_system.get("all", {}), thresholds)
 
 
+def repeated(results, others):
+    """Returns the number of comparisons with the same side in both runs, and that of all.
+
+    Sides are those of 0, of the limit of the collisions that are left, or of the field's value.
+    """
+    counts = [0, 0]
+    for question in QUESTIONS["questions"]:
+        reference = {"left": question.get("limit"), "field": 100 * question.get("struck", 0)}.get(question["kind"], 0)
+        first, second = (compare(question, of)[0] for of in (results, others))
+        counts[0] += sum(key in second and side(bounds, reference) == side(second[key], reference)
+                         for key, bounds in first.items())
+        counts[1] += len(first)
+    return counts
+
+
 def all_answers(results):
     """Returns the list of questions with their answers."""
     lines = [f"{place}. **{question['text']}** {answer(question, results)}"
@@ -263,16 +326,14 @@ def all_answers(results):
 
 
 def systems_answers(results):
-    """Returns a row for each system of the question about several: answers by the motion after an impact."""
+    """Returns a row for each system of the question about several: its answers by the motion after an impact."""
     question = next(one for one in QUESTIONS["questions"] if len(one.get("after", [])) > 1)
     rows = []
     for name, found in group(compare(question, results)[0]).items():
         row = [f"`{name}`"]
         for after_collision in ASSUMPTIONS["after_collision"]:
             part = {key: bounds for key, bounds in found.items() if key[0] == after_collision}
-            signs = [side(bounds) for bounds in part.values()]
-            words = [word if signs.count(wanted) == len(signs) else f"{word} in {signs.count(wanted)} of {len(signs)}"
-                     for wanted, word in ((1, "more"), (-1, "fewer")) if wanted in signs]
-            row += ["; ".join(words) or "every interval contains 0", "{} ({})".format(*spans(part))]
+            sides = {key: side(bounds) for key, bounds in part.items()}
+            row += [conditional(sides, CHANGES), "{} ({})".format(*spans(part))]
         rows.append(row)
     return rows

@@ -1,18 +1,21 @@
 """The page of the study: its first part, tables, pictures and tables of comma-separated values."""
 
+import itertools
 import re
 import sys
 import textwrap
 
 from drives import FOLLOWERS, change, interval, level, quantile, weights
-from findings import (SPACE, all_answers, combinations, comparisons, compare, conforming_level, is_easy, number,
-                      relative_curve, systems_answers)
+from findings import (SPACE, all_answers, assisted_systems, combinations, comparisons, compare, conforming_level,
+                      is_easy, number, relative_change, relative_curve, repeated, systems_answers, threshold_s)
 from study import ADDED, ASSISTED, BRAKE, CONFORMING, HUMAN, NONE, QUESTIONS, SYSTEMS
 
 TITLE = "# Emergency braking and rear-end collisions"
 MAIN = ("hold", "kalman")
 Z = quantile(0.05)
-MAX_WORDS, MAX_COLUMNS = 2500, 6
+SHOWN_THRESHOLDS_S = (1.0, 1.4, 2.0, 3.0)
+# A first part of this length fits on one printed page (A4, 10.5 points, margins of 2 cm).
+MAX_WORDS, MAX_WORDS_OF_FIRST_PART, MAX_COLUMNS = 2500, 610, 6
 # Share of lorries among the vehicles behind in the tables, in percent: that of vehicle-miles in the United States.
 LORRY_PERCENT = 10
 LABELS = {NONE: "no brake", HUMAN: "human"}
@@ -21,9 +24,9 @@ FIELD = next([round(100 * question[name]) for name in ("striking", "struck")]
              for question in QUESTIONS["questions"] if question["kind"] == "field")
 # Largest half of an interval in the table of systems, in percent, which the page states.
 MAX_ERROR_PERCENT = 3
-SHOWN = [NONE, "emergency-brake", BRAKE, "emergency-brake,ttc_s=3",
+SHOWN = [NONE, "emergency-brake", BRAKE,
          *(name for name in SYSTEMS if name.startswith("car:")), "autoware-aeb", "openpilot", "acc-aeb", "idm",
-         "audi-a4-short", "audi-a4-long", *ADDED, HUMAN, ASSISTED, CONFORMING, "human,aeb_ttc_s=3"]
+         *ADDED, HUMAN, ASSISTED, CONFORMING]
 
 
 def label(name):
@@ -58,7 +61,7 @@ def systems_table(results, passing):
                  for after, measure in (("hold", "ahead"), ("hold", "behind"), ("coast", "behind"))]
         if any(Z * error > MAX_ERROR_PERCENT for _, error in means):
             sys.exit(f"error: the interval of {name} is wider than the page states")
-        rows.append((label(name), passing.get(name, "–"), *(number(mean, digits=0) for mean, _ in means)))
+        rows.append((label(name), passing[name], *(number(mean, digits=0) for mean, _ in means)))
     return table(["system", "passes S7", "hits the vehicle ahead, %", "hit from behind (hold), %",
                   "hit from behind (coast), %"], rows)
 
@@ -76,7 +79,7 @@ def lorries_table(results):
     rows = [(f"{percent} %", *(changed(part, weights(FOLLOWERS, percent), pair, measure)
                                for pair, measure in ((PAIRS[1], "behind"), (PAIRS[1], "harm"), (PAIRS[2], "behind"),
                                                      (PAIRS[2], "harm"))))
-            for percent in range(0, 51, 10)]
+            for percent in (0, LORRY_PERCENT, 30, 50)]
     return table(["lorries behind", "human + brake 2 s: hit from behind", "human + brake 2 s: serious injuries",
                   "brake 2 s: hit from behind", "brake 2 s: serious injuries"], rows)
 
@@ -100,7 +103,7 @@ def easy_row(part):
 
 def conforming_table(results):
     part, rows = results[MAIN], []
-    kinds = [(f"{percent} %", percent, lambda *_: True) for percent in (0, 20, 40, 60, 80, 100)]
+    kinds = [(f"{percent} %", percent, lambda *_: True) for percent in (0, 25, 50, 75, 100)]
     for name, percent, is_wanted in [*kinds, (easy_row(part), 100, is_easy)]:
         means = [conforming_level(part, percent / 100, measure, weights(["human"], lorries), is_wanted)
                  for measure, lorries in (("ahead", 0), ("behind", 0), ("any", 0), ("any", 50))]
@@ -110,47 +113,89 @@ def conforming_table(results):
                   "either, half of the followers lorries, %"], rows)
 
 
-def field_table(results):
-    part, rows = results[MAIN], []
-    human, every = (relative_curve(part, weights(of, LORRY_PERCENT))[1:] for of in (["human"], FOLLOWERS))
-    for own, other in zip(human, every):
-        rows.append((f"{own[0]:g} s", *(number(100 * value, True, 0) for value in (*own[1:], *other[1:]))))
-    rows.append(("field (Cicchino 2017)", *(number(value, True, 0) for value in FIELD * 2)))
-    return table(["brake from", "human behind: striking, %", "human behind: struck, %",
-                  "four types behind: striking, %", "four types behind: struck, %"], rows)
+def change_in_field(part, name, measure, of):
+    return interval(relative_change(part, name, measure, of), Z)
+
+
+def field_table(results, followers):
+    """Returns the changes of striking and of being struck, with vehicles that hold their brakes or coast."""
+    of, rows = weights(followers, LORRY_PERCENT), []
+    hold, coast = results["hold", "kalman"], results["coast", "kalman"]
+    for name in assisted_systems():
+        if threshold_s(name) in SHOWN_THRESHOLDS_S:
+            bounds = [change_in_field(part, name, measure, of)
+                      for part, measure in ((hold, "ahead"), (hold, "behind"), (coast, "behind"))]
+            rows.append((f"{threshold_s(name):g} s", *(cell(one, True, 0) for one in bounds)))
+    kind = "human behind" if len(followers) == 1 else "four types behind"
+    return table([f"{kind}: brake from", "striking, %", "struck (hold), %", "struck (coast), %"], rows)
+
+
+def field_csv(results):
+    """Returns the changes of striking and of being struck by threshold, types of followers and share of lorries."""
+    lines = ["after_collision,estimator,types_of_followers,lorry_percent,brake_from_s,striking,striking_lower,"
+             "striking_upper,struck,struck_lower,struck_upper"]
+    for (after_collision, estimator), part in results.items():
+        for followers, lorries in itertools.product((["human"], FOLLOWERS[:3], FOLLOWERS), (0, LORRY_PERCENT, 50)):
+            of = weights(followers, lorries)
+            for name in assisted_systems()[1:]:
+                values = [value for measure in ("ahead", "behind")
+                          for value in change_in_field(part, name, measure, of)]
+                lines.append(",".join([after_collision, estimator, str(len(followers)), str(lorries),
+                                       f"{threshold_s(name):g}", *(number(value, digits=2) for value in values)]))
+    return "\n".join(lines).replace("−", "-") + "\n"
+
+
+LEFT, TOP, WIDTH, HEIGHT = 70, 40, 480, 360
+STRIKING, STRUCK, STRUCK_COAST = "#0060a0", "#c04000", "#d09000"
+
+
+def x(value_s):
+    return LEFT + WIDTH * value_s / 3
+
+
+def y(percent):
+    return TOP + HEIGHT * (60 - percent) / 160
+
+
+def axes():
+    """Returns the lines and the labels of both axes."""
+    out = [f'<text x="{LEFT}" y="24" font-size="16">Change of collisions by a brake in the car of a human driver'
+           '</text>']
+    for value in range(-100, 61, 20):
+        out.append(f'<path d="M{LEFT} {y(value):.1f}H{LEFT + WIDTH}" stroke="{"#888" if value == 0 else "#ddd"}"/>')
+        out.append(f'<text x="{LEFT - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{value:+d} %</text>')
+    for value in (0, 1, 2, 3):
+        out.append(f'<text x="{x(value):.1f}" y="{TOP + HEIGHT + 18}" text-anchor="middle">{value} s</text>')
+    return [*out, f'<text x="{LEFT + WIDTH / 2}" y="{TOP + HEIGHT + 40}" text-anchor="middle">'
+            'Time to collision from which the brake fires</text>']
+
+
+def curve(points, line, row, what, who):
+    """Returns a curve and its entry in the legend."""
+    places = " ".join(f"{x(threshold):.1f},{y(percent):.1f}" for threshold, percent in points)
+    return [f'<polyline points="{places}" {line}/>', f'<path d="M{LEFT + WIDTH + 14} {row - 4}h22" {line}/>',
+            f'<text x="{LEFT + WIDTH + 42}" y="{row}" font-size="11">{what},</text>',
+            f'<text x="{LEFT + WIDTH + 42}" y="{row + 9}" font-size="9" fill="#444">{who}</text>']
 
 
 def field_picture(results):
     """Returns the curves of striking and being struck over the threshold, as SVG."""
-    left, top, width, height = 70, 40, 480, 360
-    x = lambda value: left + width * value / 3
-    y = lambda value: top + height * (60 - value) / 160
     out = ['<svg xmlns="http://www.w3.org/2000/svg" width="760" height="470" viewBox="0 0 760 470" '
-           'font-family="sans-serif" font-size="12">', '<rect width="760" height="470" fill="white"/>',
-           f'<text x="{left}" y="24" font-size="16">Change of collisions by a brake in the car of a human driver'
-           '</text>']
-    for value in range(-100, 61, 20):
-        out.append(f'<path d="M{left} {y(value):.1f}H{left + width}" stroke="{"#888" if value == 0 else "#ddd"}"/>')
-        out.append(f'<text x="{left - 8}" y="{y(value) + 4:.1f}" text-anchor="end">{value:+d} %</text>')
-    for value in (0, 1, 2, 3):
-        out.append(f'<text x="{x(value):.1f}" y="{top + height + 18}" text-anchor="middle">{value} s</text>')
-    out.append(f'<text x="{left + width / 2}" y="{top + height + 40}" text-anchor="middle">'
-               'Time to collision from which the brake fires</text>')
+           'font-family="sans-serif" font-size="12">', '<rect width="760" height="470" fill="white"/>', *axes()]
+    kinds = [("hold", 1, STRIKING, "hits the vehicle ahead"), ("hold", 2, STRUCK, "hit from behind (hold)"),
+             ("coast", 2, STRUCK_COAST, "hit from behind (coast)")]
     lines = [(("human",), "human drivers behind", ""), (FOLLOWERS, "four types behind", ' stroke-dasharray="6 4"')]
-    for index, (followers, text, dash) in enumerate(lines):
-        curve = relative_curve(results[MAIN], weights(followers, LORRY_PERCENT))
-        for place, color, what in ((1, "#0060a0", "hits the vehicle ahead"), (2, "#c04000", "hit from behind")):
-            points = " ".join(f"{x(point[0]):.1f},{y(100 * point[place]):.1f}" for point in curve)
+    row = TOP + 114
+    for followers, who, dash in lines:
+        for after_collision, place, color, what in kinds:
+            points = relative_curve(results[after_collision, "kalman"], weights(followers, LORRY_PERCENT))
             line = f'fill="none" stroke="{color}" stroke-width="1.8"{dash}'
-            out.append(f'<polyline points="{points}" {line}/>')
-            row = top + 130 + 24 * (2 * index + place)
-            out.append(f'<path d="M{left + width + 14} {row - 4}h22" {line}/>')
-            out.append(f'<text x="{left + width + 42}" y="{row}" font-size="11">{what},</text>')
-            out.append(f'<text x="{left + width + 42}" y="{row + 9}" font-size="9" fill="#444">{text}</text>')
-    for value, color, name in zip(FIELD, ("#0060a0", "#c04000"), ("striking", "struck")):
+            out += curve([(point[0], point[place]) for point in points], line, row, what, who)
+            row += 22
+    for value, color, name in zip(FIELD, (STRIKING, STRUCK), ("striking", "struck")):
         text = f"field: {name} {number(value, True, 0)} %"
-        out.append(f'<path d="M{left} {y(value):.1f}H{left + width}" stroke="{color}" stroke-dasharray="2 3"/>')
-        out.append(f'<text x="{left + width + 14}" y="{y(value) + 4:.1f}" fill="{color}">{text}</text>')
+        out.append(f'<path d="M{LEFT} {y(value):.1f}H{LEFT + WIDTH}" stroke="{color}" stroke-dasharray="2 3"/>')
+        out.append(f'<text x="{LEFT + WIDTH + 14}" y="{y(value) + 4:.1f}" fill="{color}">{text}</text>')
     return "\n".join([*out, "</svg>\n"])
 
 
@@ -186,19 +231,19 @@ def answers_csv(results):
 
 
 INTRODUCTION = """\
-Emergencies are simulated: the car ahead brakes to a stop, the car under test follows it, and another vehicle follows
-that car. [Questions](../examples/studies/aeb_behind/questions.toml) and rule were committed before the run, whose seed
-was new ([changes since then](#changes-after-the-run)).
+In simulated emergencies, a car brakes to a stop, the car under test follows it, and another vehicle follows that car.
+[Questions](../examples/studies/aeb_behind/questions.toml) and rule were fixed before the run, whose seed was new
+([changes since then](#changes-after-the-run)). **Speeds, braking and followers are chosen: no value is one of real
+traffic.**
 
-An answer holds in every combination of four assumptions: after an impact, vehicles hold their brakes or coast; cars
-observe through sensors and a filter, or the true state; followers are of four types alike (`human`, `idm`, `acc-aeb`,
-`baseline`), or of the first three; none or half of them are lorries. Otherwise the sentence counts those of the
-COMBINATIONS combinations (FEW in questions 10 and 11, with `human` behind) that have an answer, and names each
-assumption under which all have it. Combinations share their emergencies, so that they confirm each other little. Values
-per 100 emergencies, for injuries per 1000, are the smallest and the largest; brackets have the outermost ends of the
-intervals, corrected for COMPARISONS comparisons, of EMERGENCIES emergencies. An interval around 0 does not show that
-nothing changes. [Other assumptions](#sensitivity) may change answers. **Speeds, braking and followers are chosen: the
-values are none of real traffic.**"""
+A common answer holds in all COMBINATIONS combinations of four assumptions: after an impact, vehicles *hold* their
+brakes or *coast*; cars observe through *sensors* and a filter, or the *true state*; followers are `human`, `idm`,
+`acc-aeb` and `baseline` alike (*4 types*) or the first three (*3 types*), in questions 10 and 11 `human` only (FEW
+combinations); *no lorries* or *half lorries* are among them. Other answers name the combinations whose interval lies on
+one side of 0 (question 12: of +20 %). Elsewhere a change is not excluded. Values per 100 emergencies (injuries: per
+1000) are the smallest and the largest, brackets the outermost ends of intervals, corrected for COMPARISONS comparisons,
+of EMERGENCIES emergencies. Combinations share emergencies: they confirm each other little. [Other
+assumptions](#sensitivity) may change answers."""
 
 
 def sizes(results):
@@ -219,9 +264,12 @@ def first_part(results):
     for word, value in numbers.items():
         introduction = introduction.replace(word, str(value))
     filled = [textwrap.fill(part, 120, break_on_hyphens=False) for part in introduction.split("\n\n")]
-    cars = table(["question 9", "if vehicles hold their brakes", "change", "if vehicles coast", "change"],
+    return "\n".join([TITLE, "", "\n\n".join(filled), "", "## Findings", "", *all_answers(results), ""])
+
+
+def cars_table(results):
+    return table(["question 9", "if vehicles hold their brakes", "change", "if vehicles coast", "change"],
                  systems_answers(results))
-    return "\n".join([TITLE, "", "\n\n".join(filled), "", "## Findings", "", *all_answers(results), "", cars, ""])
 
 
 def check_first_part(page, wanted, is_written):
@@ -254,16 +302,20 @@ def check_tables(page, made, is_written):
         page.write_text(text)
 
 
-def check_length(page):
-    """Refuses a page of more than 2500 words, or a table of more than six columns."""
+def count_words(text):
+    return len([word for word in text.split() if any(letter.isalnum() for letter in word)])
+
+
+def check_length(page, first):
+    """Refuses a page or a first part that is too long, or a table of more than six columns."""
     text = page.read_text()
-    words = len([word for word in text.split() if any(letter.isalnum() for letter in word)])
-    if words > MAX_WORDS:
-        sys.exit(f"error: {page} has {words} words")
+    words, words_of_first = count_words(text), count_words(first)
+    if words > MAX_WORDS or words_of_first > MAX_WORDS_OF_FIRST_PART:
+        sys.exit(f"error: {page} has {words} words, {words_of_first} of them in the first part")
     columns = max((line.count("|") - 1 for line in text.splitlines() if line.startswith("|")), default=0)
     if columns > MAX_COLUMNS:
         sys.exit(f"error: {page} has a table of {columns} columns")
-    print(f"The page has {words} words, and its tables at most {columns} columns.")
+    print(f"The page has {words} words, {words_of_first} of them in the first part, and at most {columns} columns.")
 
 
 def check_files(page, files, is_written):
@@ -275,12 +327,32 @@ def check_files(page, files, is_written):
             sys.exit(f"error: {folder / name} differs from the runs")
 
 
-def check(page, results, passing, is_written):
+REPEATED = "of COMPARISONS comparisons lie on the same side in both"
+
+
+def check_repetition(page, results, others, is_written):
+    """Compares the count of repeated comparisons with the page, or writes it."""
+    count, comparisons_of_all = repeated(results, others)
+    ending = REPEATED.replace("COMPARISONS", str(comparisons_of_all))
+    text = page.read_text()
+    found = re.search(r"\w+ " + re.escape(ending), text)
+    if found is None or (found[0] != f"{count} {ending}" and not is_written):
+        sys.exit(f"error: {page} does not say `{count} {ending}`")
+    if is_written:
+        page.write_text(text.replace(found[0], f"{count} {ending}"))
+
+
+def check(page, results, others, passing, is_written):
     """Compares page, pictures and tables of values with the runs, or writes them."""
-    check_first_part(page, first_part(results), is_written)
-    check_tables(page, {"systems": systems_table(results, passing), "followers": followers_table(results),
-                        "lorries": lorries_table(results), "conforming": conforming_table(results),
-                        "field": field_table(results)}, is_written)
-    check_files(page, {"field.svg": field_picture(results), "results.csv": results_csv(results),
-                       "answers.csv": answers_csv(results)}, is_written)
-    check_length(page)
+    first = first_part(results)
+    check_first_part(page, first, is_written)
+    tables = {"systems": systems_table(results, passing), "cars": cars_table(results),
+              "followers": followers_table(results), "lorries": lorries_table(results),
+              "conforming": conforming_table(results), "field, human": field_table(results, ["human"]),
+              "field, four types": field_table(results, FOLLOWERS)}
+    check_tables(page, tables, is_written)
+    check_repetition(page, results, others, is_written)
+    check_files(page, {"field.svg": field_picture(results), "field.csv": field_csv(results),
+                       "results.csv": results_csv(results), "answers.csv": answers_csv(results),
+                       "repeated.csv": answers_csv(others)}, is_written)
+    check_length(page, first)

@@ -3,16 +3,20 @@
 Rules: docs/mathematics.md (controllers, the driver `human`, after a collision), docs/reference/vehicles.md (motion,
 limits), docs/reference/scenarios.md (settings), ../emergencies.toml (distributions). It shares no code and no random
 number with crumple. Vehicles observe the true state. Impacts are found at the end of a step, not inside it. Its
-figures, chosen in questions.toml before it ran, are compared with reports/aeb-behind/results.csv.
+figures, chosen in questions.toml before it ran, are compared with those of a run of crumple, and those with
+reports/aeb-behind/results.csv.
 """
 
 import csv
 import math
 import random
 import sys
+import tempfile
 import tomllib
 from pathlib import Path
 from statistics import NormalDist
+
+from study import CONFIG, SPACE, Assessment
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE.parents[2] / "reports/aeb-behind/results.csv"
@@ -232,8 +236,32 @@ def simulate(figure, seed, count, gaps):
     return {measure: {kind: (total, count // 2) for kind, total in of.items()} for measure, of in totals.items()}
 
 
-def of_crumple(figure):
-    """Returns {class: (collisions, emergencies)} of the committed results."""
+def runs_of_crumple(crumple, figures):
+    """Runs crumple with the systems of the figures, and returns {motion after an impact: {system: Drives}}."""
+    systems = list(dict.fromkeys(figure["controller"] for figure in figures))
+    draws = tomllib.loads(CONFIG.read_text())["draws"]
+    runs = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for after_collision in HELD_MPS2:
+            assessment = Assessment(after_collision, {"emergencies": SPACE.read_text()}, systems, draws,
+                                    after_collision, "truth")
+            assessment.run(crumple, Path(folder))
+            runs[after_collision] = {system: drives for (_, system), drives in assessment.read(Path(folder)).items()}
+    return runs
+
+
+def count(drives, figure):
+    """Returns {class: (collisions, emergencies)} of a figure."""
+    counts = {}
+    for kind in ("light", "heavy"):
+        hits = [hit for hit, stratum in zip(getattr(drives, figure["measure"]), drives.strata)
+                if stratum == (figure["follower"], kind)]
+        counts[kind] = (int(sum(hits)), len(hits))
+    return counts
+
+
+def committed(figure):
+    """Returns {class: (collisions, emergencies)} of the results that the page has."""
     column = {"ahead": "hits_ahead", "behind": "hit_from_behind"}[figure["measure"]]
     with open(RESULTS, newline="") as file:
         rows = list(csv.DictReader(file))
@@ -250,19 +278,30 @@ def mean(counts):
         max(share * (1 - share), 1 / count) / count for share, count in shares) / 4
 
 
-def main(is_written):
-    """Compares all figures; `is_written` writes them to `second.csv`, otherwise they must be those of that file."""
+def compare_with_page(figure, counts):
+    """Refuses figures of crumple that the page does not have."""
+    if counts != committed(figure):
+        sys.exit(f"error: crumple's collisions of {figure} are {counts}, those of {RESULTS.name} {committed(figure)}")
+
+
+def main(crumple, is_written):
+    """Runs crumple and the second simulator, and compares their figures.
+
+    Writes them to `second.csv` if `is_written`; otherwise they must be those of that file.
+    """
     config = tomllib.loads((HERE / "questions.toml").read_text())["second"]
-    space = tomllib.loads((HERE.parent / "emergencies.toml").read_text())
+    space = tomllib.loads(SPACE.read_text())
     gaps = [one["distribution"]["histogram"] for one in space["parameters"] if one["name"].startswith("time_gap")]
     quantile = NormalDist().inv_cdf(0.5 + config["confidence"] / 2)
     lines = ["controller,follower,after_collision,measure,crumple_percent,second_percent,difference,interval"]
-    known, outside = {}, 0
+    runs, known, outside = runs_of_crumple(crumple, config["figures"]), {}, 0
     for figure in config["figures"]:
         key = figure["controller"], figure["follower"], figure["after_collision"]
         if key not in known:
             known[key] = simulate(figure, config["seed"], config["emergencies"], gaps)
-        (own, own_variance), (theirs, their_variance) = mean(known[key][figure["measure"]]), mean(of_crumple(figure))
+        counts = count(runs[key[2]][key[0]], figure)
+        compare_with_page(figure, counts)
+        (own, own_variance), (theirs, their_variance) = mean(known[key][figure["measure"]]), mean(counts)
         limit = quantile * math.sqrt(own_variance + their_variance)
         outside += abs(own - theirs) > limit
         lines.append(",".join([f'"{key[0]}"', *key[1:], figure["measure"], *(
@@ -276,8 +315,4 @@ def main(is_written):
         sys.exit(f"error: {path} differs")
     if outside:
         sys.exit(f"error: {outside} of {len(config['figures'])} figures differ by more than their interval")
-    print(f"All {len(config['figures'])} figures of the second simulator agree.")
-
-
-if __name__ == "__main__":
-    main("--write" in sys.argv)
+    print(f"All {len(config['figures'])} figures of crumple and of the second simulator agree.")

@@ -1,8 +1,8 @@
 """The study with one assumption changed at a time, with human drivers behind."""
 
-from drives import change, interval, quantile, read, weights
+from drives import change, interval, quantile, weights
 from page import LORRY_PERCENT, cell, check_tables, table
-from study import BRAKE, CONFORMING, HUMAN, NONE, assess, space_with_follower
+from study import BRAKE, CONFORMING, HUMAN, NONE, Assessment, claim, space_with_follower
 from time_gaps import histogram
 
 DRAWS = 1000
@@ -35,19 +35,24 @@ CHANGES = {
     "leader brakes more (mean share 0.7)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
                                                             "mean = 0.7, deviation = 0.2")]),
     "wet road (mean friction 0.6)": ("", "kalman", [("mean = 1.0, deviation = 0.2", "mean = 0.6, deviation = 0.2")]),
+    "sensors: latency 0.2 s, range 60 m": ("", "kalman", [
+        ("duration_s = 25.0\n", "duration_s = 25.0\nsensors.faults = { latency_s = 0.2, range_m = 60.0 }\n")]),
 }
 
 
 def sensitivity(crumple, folder, page, is_written):
     """Runs every change if `crumple` is given, and compares, writes or prints the table."""
+    if crumple:
+        claim(crumple, folder)
     of, rows = weights(["human"], LORRY_PERCENT), []
     for index, (assumption, (settings, estimator, replacements)) in enumerate(CHANGES.items()):
-        one = folder / f"sensitivity-{index:02}"
         follower = "human," + settings if settings else "human"
-        space = space_with_follower("changed", follower, *replacements)
+        assessment = Assessment(f"sensitivity-{index:02}",
+                                {"changed": space_with_follower("changed", follower, *replacements)},
+                                [NONE, BRAKE, HUMAN, CONFORMING], DRAWS, "hold", estimator)
         if crumple:
-            assess(crumple, one, {"changed": space}, [NONE, BRAKE, HUMAN, CONFORMING], DRAWS, "hold", estimator)
-        drives = {system: of_system for (_, system), of_system in read(one / "report/runs.csv").items()}
+            assessment.run(crumple, folder)
+        drives = {system: of_system for (_, system), of_system in assessment.read(folder).items()}
         cells = [cell(interval(change(drives[after], drives[before], measure).mean(of), quantile(0.05)), True)
                  for before, after in ((HUMAN, CONFORMING), (NONE, BRAKE)) for measure in ("behind", "harm")]
         rows.append((assumption, *cells))

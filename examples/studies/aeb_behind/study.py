@@ -1,10 +1,12 @@
 """Configuration of the study, and its runs."""
 
+import hashlib
 import itertools
 import json
 import subprocess
 import sys
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 
 from drives import read
@@ -14,6 +16,9 @@ SPACE = HERE.parent / "emergencies.toml"
 CONFIG = HERE.parent / "aeb-behind.toml"
 QUESTIONS = tomllib.loads((HERE / "questions.toml").read_text())
 SYSTEMS = tomllib.loads(CONFIG.read_text())["controllers"]
+SEED = tomllib.loads(CONFIG.read_text())["seed"]
+# Seed of the repeated run, chosen and committed before it.
+SEED_OF_REPETITION = 20261130
 # Drivers of crumple that observe the vehicle behind. They were added after the run: no question names them.
 ADDED = ["predictive", "road"]
 NONE, BRAKE, HUMAN, ASSISTED, CONFORMING = ("emergency-brake,ttc_s=0", "emergency-brake,ttc_s=2", "human",
@@ -47,24 +52,65 @@ def space_with_follower(name, follower, *changes):
                     ('driver = "human"', driver(follower)), *changes)
 
 
-def assess(crumple, folder, spaces, systems, draws, after_collision, estimator):
-    """Runs an assessment in a folder, unless it has results."""
+def claim(crumple, folder):
+    """Records the program of a folder, and refuses a folder with results of another one."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in spaces.items():
-        (folder / f"{name}.toml").write_text(text)
-    here = CONFIG.parent
-    systems = [str((here / name).resolve()) if name.endswith(".toml") else name for name in systems]
-    config = tomllib.loads(CONFIG.read_text())
-    config.update(controllers=systems, subject=systems[-1], estimator=estimator, draws=draws,
-                  distributions=[f"{name}.toml" for name in spaces])
-    config["harm"]["after_collision"] = after_collision
-    lines = [f"{key} = {toml(value)}" for key, value in config.items()]
-    (folder / "study.toml").write_text("\n".join(lines) + "\n")
-    if not (folder / "report/runs.csv").is_file():
+    record, program = folder / "program.sha256", hashlib.sha256(crumple.read_bytes()).hexdigest()
+    if not record.is_file() and any(folder.iterdir()):
+        sys.exit(f"error: {folder} has files, but no {record.name}: use an empty folder")
+    if record.is_file() and record.read_text() != program:
+        sys.exit(f"error: {folder} has results of another program: use an empty folder")
+    record.write_text(program)
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """One assessment of the study, in a folder with its inputs and its results. `spaces` is {name: text}."""
+
+    name: str
+    spaces: dict
+    systems: list
+    draws: int
+    after_collision: str
+    estimator: str
+    seed: int = SEED
+
+    def inputs(self):
+        """Returns {name: text} of all files that it reads."""
+        texts = {f"{name}.toml": text for name, text in self.spaces.items()}
+        texts |= {Path(name).name: (CONFIG.parent / name).read_text() for name in self.systems
+                  if name.endswith(".toml")}
+        systems = [Path(name).name if name.endswith(".toml") else name for name in self.systems]
+        config = tomllib.loads(CONFIG.read_text())
+        config.update(controllers=systems, subject=systems[-1], estimator=self.estimator, draws=self.draws,
+                      seed=self.seed, distributions=[f"{name}.toml" for name in self.spaces])
+        config["harm"]["after_collision"] = self.after_collision
+        lines = [f"{key} = {toml(value)}" for key, value in config.items()]
+        return texts | {"study.toml": "\n".join(lines) + "\n"}
+
+    def run(self, crumple, runs):
+        """Runs it in a folder below `runs`. crumple itself reuses only evidence of the same program and inputs."""
+        folder = runs / self.name
+        folder.mkdir(parents=True, exist_ok=True)
+        # An interrupted run leaves no results beside inputs that they do not belong to.
+        (folder / "report/runs.csv").unlink(missing_ok=True)
+        for name, text in self.inputs().items():
+            (folder / name).write_text(text)
         command = [crumple, "assess", "study.toml", "--out", "report"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode:
             sys.exit(f"error: {folder}: {done.stderr}")
+
+    def read(self, runs):
+        """Returns {(space, system): Drives}, and refuses results of other inputs."""
+        folder = runs / self.name
+        for name, text in self.inputs().items():
+            if not (folder / name).is_file() or (folder / name).read_text() != text:
+                sys.exit(f"error: {folder} has no results of today's {name}: run it again")
+        if not (folder / "report/runs.csv").is_file():
+            sys.exit(f"error: {folder} has no results: run it again")
+        return {(space, short_name(system)): drives
+                for (space, system), drives in read(folder / "report/runs.csv").items()}
 
 
 def toml(value):
@@ -92,32 +138,43 @@ def systems(estimator):
     return [name for name in SYSTEMS if estimator == "kalman" or name in named or name.startswith("human")]
 
 
+def assessments(after_collision, estimator, seed=SEED):
+    """Returns the assessments of one condition."""
+    draws, condition = tomllib.loads(CONFIG.read_text())["draws"], f"{after_collision}-{estimator}"
+    emergencies = {"emergencies": SPACE.read_text()}
+    conforming = {name: space_with_follower(name, follower) for name, follower in CONFORMING_SPACES.items()}
+    parts = [("", emergencies, systems(estimator)), ("-conforming", conforming, [HUMAN, CONFORMING])]
+    if estimator == "kalman":
+        parts.append(("-added", emergencies, ADDED))
+    return [Assessment(condition + ending, spaces, of, draws, after_collision, estimator, seed)
+            for ending, spaces, of in parts]
+
+
 def run(crumple, folder):
     """Runs the suite, and all assessments of the study."""
+    claim(crumple, folder)
     run_suite(crumple, folder / "suite")
-    draws = tomllib.loads(CONFIG.read_text())["draws"]
-    for after_collision, estimator in CONDITIONS:
-        name = f"{after_collision}-{estimator}"
-        assess(crumple, folder / name, {"emergencies": SPACE.read_text()}, systems(estimator), draws, after_collision,
-               estimator)
-        if estimator == "kalman":
-            assess(crumple, folder / f"{name}-added", {"emergencies": SPACE.read_text()}, ADDED, draws, after_collision,
-                   estimator)
-        spaces = {key: space_with_follower(key, follower) for key, follower in CONFORMING_SPACES.items()}
-        assess(crumple, folder / f"{name}-conforming", spaces, [HUMAN, CONFORMING], draws, after_collision, estimator)
-        print(name, flush=True)
+    run_assessments(crumple, folder, SEED)
 
 
-def load(folder):
+def repeat(crumple, folder):
+    """Runs all assessments of the study with another seed."""
+    claim(crumple, folder)
+    run_assessments(crumple, folder / "repeated", SEED_OF_REPETITION)
+
+
+def run_assessments(crumple, folder, seed):
+    for condition in CONDITIONS:
+        for assessment in assessments(*condition, seed):
+            assessment.run(crumple, folder)
+            print(assessment.name, flush=True)
+
+
+def load(folder, seed=SEED):
     """Returns {condition: {(space, system): Drives}}."""
-    results = {}
-    for after_collision, estimator in CONDITIONS:
-        name = f"{after_collision}-{estimator}"
-        parts = [name, f"{name}-conforming"] + ([f"{name}-added"] if estimator == "kalman" else [])
-        results[after_collision, estimator] = {
-            (space, short_name(system)): drives for part in parts
-            for (space, system), drives in read(folder / part / "report/runs.csv").items()}
-    return results
+    return {condition: {key: drives for assessment in assessments(*condition, seed)
+                        for key, drives in assessment.read(folder).items()}
+            for condition in CONDITIONS}
 
 
 def short_name(system):
