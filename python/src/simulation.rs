@@ -3,8 +3,9 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use crumple_evidence::describe_followers;
 use crumple_measure::{ReportedController, RunReport, Specification};
-use crumple_sim::control::{BuiltInController, NoSettings};
+use crumple_sim::control::{BuiltInController, NoSettings, TwoSidedSettings};
 use crumple_sim::engine::{
     self, AfterCollision, Impact, Intervention, Outcome, RecordingLevel, Run, RunError, RunOptions,
     SimulationResult, VehicleSummary, simulate_batch,
@@ -24,6 +25,8 @@ use crate::interruptible::{ProgressCounts, StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::table;
 use crate::values::{parse_choice, serialize_to_python};
+
+const MISSING_TRACE: &str = "the simulation kept no trace: simulate with trace=True";
 
 /// Number of runs between two checks for an interrupt.
 const BATCH_SIZE: usize = 512;
@@ -189,6 +192,8 @@ pub(crate) struct Simulation {
     estimator: EstimatorKind,
     dt_s: Option<f64>,
     after_collision: AfterCollision,
+    /// Settings of the levels that the report has; `None` for a report without levels.
+    level_settings: Option<String>,
     /// Result without its trace.
     result: SimulationResult,
     #[pyo3(get)]
@@ -203,6 +208,7 @@ struct PickledResult {
     estimator: String,
     dt_s: Option<f64>,
     after_collision: AfterCollision,
+    level_settings: Option<String>,
     outcome: Outcome,
     impacts: Vec<Impact>,
     vehicles: Vec<VehicleSummary>,
@@ -229,6 +235,7 @@ impl Simulation {
             estimator: parse_choice("estimator", &parts.estimator, &ESTIMATORS)?,
             dt_s: parts.dt_s,
             after_collision: parts.after_collision,
+            level_settings: parts.level_settings,
             result: SimulationResult {
                 outcome: parts.outcome,
                 impacts: parts.impacts,
@@ -249,6 +256,7 @@ impl Simulation {
             estimator: self.estimator.name().to_owned(),
             dt_s: self.dt_s,
             after_collision: self.after_collision,
+            level_settings: self.level_settings.clone(),
             outcome: result.outcome,
             impacts: result.impacts,
             vehicles: result.vehicles,
@@ -351,6 +359,34 @@ impl Simulation {
             .map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))
     }
 
+    /// Returns the simulation with the level of each vehicle under test, as `crumple simulate --level` computes it.
+    #[pyo3(signature = (settings = ""))]
+    fn with_levels(&self, py: Python<'_>, settings: &str) -> PyResult<Self> {
+        TwoSidedSettings::parse_for_levels(settings)
+            .map_err(|error| errors::exception(py, ExceptionClass::Run, &error))?;
+        let Some(trace) = &self.trace else {
+            return Err(errors::exception(py, ExceptionClass::Run, &MISSING_TRACE));
+        };
+        Ok(Self {
+            scenario: self.scenario.clone(),
+            controller: Arc::clone(&self.controller),
+            is_deterministic: self.is_deterministic,
+            has_two_sided_shield: self.has_two_sided_shield,
+            estimator: self.estimator,
+            dt_s: self.dt_s,
+            after_collision: self.after_collision,
+            level_settings: Some(settings.to_owned()),
+            result: self.result.clone(),
+            trace: Some(trace.clone_ref(py)),
+        })
+    }
+
+    /// Returns the levels, one dictionary for each vehicle; empty without [`Self::with_levels`].
+    #[getter]
+    fn levels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.with_report(py, |report| serialize_to_python(py, &report.levels))?
+    }
+
     /// Draws position, speed and gap over time.
     #[pyo3(signature = (layout = "wide"))]
     fn plot(&self, py: Python<'_>, layout: &str) -> PyResult<PyFigure> {
@@ -385,6 +421,33 @@ impl Simulation {
 }
 
 impl Simulation {
+    /// Creates the simulation of a run, and moves its trace to Python.
+    fn new(
+        py: Python<'_>,
+        scenario: Scenario,
+        (name, reported): (&Arc<str>, ReportedController<'_>),
+        options: &RunOptions,
+        mut result: SimulationResult,
+    ) -> PyResult<Self> {
+        let trace = result
+            .trace
+            .take()
+            .map(|trace| Py::new(py, PyTrace::new(py, trace)?))
+            .transpose()?;
+        Ok(Self {
+            scenario,
+            controller: Arc::clone(name),
+            is_deterministic: reported.is_deterministic,
+            has_two_sided_shield: reported.has_two_sided_shield,
+            estimator: options.estimator,
+            dt_s: options.dt_s,
+            after_collision: options.after_collision,
+            level_settings: None,
+            result,
+            trace,
+        })
+    }
+
     /// Returns a run of the scenario, for measures of the result, which do not ask the controller.
     fn run(&self) -> Result<Run, RunError> {
         let mut options = RunOptions::new(BuiltInController::FullThrottle(NoSettings::default()))
@@ -413,14 +476,24 @@ impl Simulation {
             is_deterministic: self.is_deterministic,
             has_two_sided_shield: self.has_two_sided_shield,
         };
-        Ok(read(&RunReport::new(&run, controller, &result)))
+        let report = RunReport::new(&run, controller, &result);
+        let Some(settings) = &self.level_settings else {
+            return Ok(read(&report));
+        };
+        let settings = TwoSidedSettings::parse_for_levels(settings)
+            .map_err(|error| errors::exception(py, ExceptionClass::Run, &error))?;
+        Ok(read(&report.with_levels(
+            &run,
+            &result,
+            &settings,
+            describe_followers,
+        )))
     }
 
     fn native_trace(&self, py: Python<'_>) -> PyResult<engine::Trace> {
-        let missing = "the simulation kept no trace: simulate with trace=True";
         match &self.trace {
             Some(trace) => trace.get().to_native(py),
-            None => Err(errors::exception(py, ExceptionClass::Run, &missing)),
+            None => Err(errors::exception(py, ExceptionClass::Run, &MISSING_TRACE)),
         }
     }
 }
@@ -466,32 +539,12 @@ pub(crate) fn simulate(
         simulate_in_batches(&runs, level, say)
     })?;
     drop(runs);
-    let ReportedController {
-        is_deterministic,
-        has_two_sided_shield,
-        ..
-    } = ReportedController::from(&controller);
-    let name: Arc<str> = controller.name.into();
-    scenarios
-        .into_iter()
-        .zip(results)
-        .map(|(scenario, mut result)| {
-            let trace = result
-                .trace
-                .take()
-                .map(|trace| Py::new(py, PyTrace::new(py, trace)?))
-                .transpose()?;
-            Ok(Simulation {
-                scenario,
-                controller: Arc::clone(&name),
-                is_deterministic,
-                has_two_sided_shield,
-                estimator: options.estimator,
-                dt_s,
-                after_collision: options.after_collision,
-                result,
-                trace,
-            })
+    let reported = ReportedController::from(&controller);
+    let name: Arc<str> = controller.name.as_str().into();
+    let simulated = scenarios.into_iter().zip(results);
+    simulated
+        .map(|(scenario, result)| {
+            Simulation::new(py, scenario, (&name, reported), &options, result)
         })
         .collect()
 }

@@ -151,6 +151,32 @@ def test_a_run_is_that_of_the_program(run_program, scenario, controller, options
     assert run.impacts == run.data["impacts"]
 
 
+@pytest.mark.parametrize("settings", ["", "reacts=1"])
+@pytest.mark.parametrize(("scenario", "controller"), [("paper-1", "idm"), ("paper-2", "full-throttle")])
+def test_levels_are_those_of_the_program(run_program, scenario, controller, settings):
+    run = crumple.simulate(scenario, controller)
+    assert run.levels == []
+    run = run.with_levels(settings)
+    arguments = ["simulate", scenario, "--controller", controller, f"--level={settings}" if settings else "--level"]
+    assert str(run) == run_program(arguments, "text")
+    printed = json.loads(run_program(arguments, "json"))
+    assert run.data == printed
+    assert run.levels == printed["levels"] != []
+    for level in run.levels:
+        assert level["start_mps2"] == level["level_mps2"][0]
+        assert level["min_mps2"] == min(level["level_mps2"])
+        assert len(level["time_s"]) == len(level["level_mps2"])
+    restored = pickle.loads(pickle.dumps(run))
+    assert (str(restored), restored.data) == (str(run), run.data)
+
+
+def test_levels_need_a_trace_and_settings_of_the_class():
+    with pytest.raises(crumple.CrumpleError, match="trace=True"):
+        crumple.simulate("paper-1", trace=False).with_levels()
+    with pytest.raises(crumple.CrumpleError, match="level"):
+        crumple.simulate("paper-1").with_levels("level=3")
+
+
 def test_a_training_is_that_of_the_program(run_program, python_folder):
     trained = crumple.train("fast", 3, "out", episodes=4)
     arguments = ["train", "--seed", 3, "--episodes", 4, "--out", "out"]

@@ -8,7 +8,6 @@ use clap::{Args, ValueEnum};
 use super::global_options::GlobalOptions;
 use super::output;
 use super::output_format::OutputFormat;
-use super::two_sided::parse_class_settings;
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, export, feature, value_enums};
 use crumple_controllers::Controllers;
@@ -98,7 +97,7 @@ pub(super) struct Simulate {
     /// Also compute the level of each vehicle under test over time: the hardest braking of the leader for which a plan
     /// avoids a collision on both sides. The value has the settings of the follower's class, as after `shield2`
     #[arg(long, value_name = "SETTINGS", num_args = 0..=1, require_equals = true, default_missing_value = "")]
-    #[arg(value_parser = parse_class_settings)]
+    #[arg(value_parser = TwoSidedSettings::parse_for_levels)]
     level: Option<TwoSidedSettings>,
     /// With a folder of scenario files: print the full text of each scenario instead of one line
     #[arg(long)]

@@ -20,8 +20,9 @@ pub(super) fn write(result: &SuiteResult, folder: &Path, quiet: bool) -> Result<
     let tested = result.tests().flat_map(|(_, test)| &test.controllers);
     let failed = tested
         .flat_map(ControllerResult::failures)
-        .map(|point| {
-            let text = file::to_toml(&point.scenario).map_err(CliError::input)?;
+        .filter_map(|point| Some((point, point.scenario.as_ref()?)))
+        .map(|(point, scenario)| {
+            let text = file::to_toml(scenario).map_err(CliError::input)?;
             Ok((format!("{}.toml", point.scenario_name), text.into_bytes()))
         })
         .collect::<Result<BTreeMap<_, _>, CliError>>()?;

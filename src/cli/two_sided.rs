@@ -5,11 +5,10 @@ use std::path::PathBuf;
 use clap::Args;
 use crumple_controllers::Controllers;
 use crumple_evidence::{
-    CertificateReport, NoTwoSidedCertificate, filter_certificate, initial_state_certificate,
-    report_json,
+    CertificateReport, NoTwoSidedCertificate, ScenarioFollower, filter_certificate,
+    initial_state_certificate, report_json,
 };
-use crumple_measure::describe_outside_class;
-use crumple_sim::control::{AebSettings, BuiltInController, InvalidSetting, TwoSidedSettings};
+use crumple_sim::control::{AebSettings, BuiltInController, TwoSidedSettings};
 use crumple_sim::engine::{Run, RunOptions};
 use crumple_sim::observation::EstimatorKind;
 use crumple_store::disk::StagedFiles;
@@ -45,7 +44,7 @@ pub(super) struct TwoSidedCommand {
         default_value = "",
         hide_default_value = true
     )]
-    #[arg(value_parser = parse_claim_settings)]
+    #[arg(value_parser = TwoSidedSettings::parse_for_certificate)]
     settings: TwoSidedSettings,
     /// Certify the shield with the limits of the vehicle instead of a plan for the initial state
     #[arg(long)]
@@ -58,51 +57,7 @@ pub(super) struct TwoSidedCommand {
     format: OutputFormat,
 }
 
-/// Parses settings of the follower's class, without a comma before the first, for the measurement of levels at the true
-/// state.
-pub(super) fn parse_class_settings(text: &str) -> Result<TwoSidedSettings, InvalidSetting> {
-    let settings = parse_claim_settings(text)?;
-    if settings.level_mps2.is_some() {
-        return Err(InvalidSetting::NoEffect { name: "level" });
-    }
-    match name_of_error_setting(text) {
-        Some(name) => Err(InvalidSetting::NoEffect { name }),
-        None => Ok(settings),
-    }
-}
-
-/// Parses settings of the level, the class and the errors, without a comma before the first, for a certificate.
-fn parse_claim_settings(text: &str) -> Result<TwoSidedSettings, InvalidSetting> {
-    let comma = if text.is_empty() { "" } else { "," };
-    let settings = TwoSidedSettings::parse(&format!("{comma}{text}"))?;
-    if settings.raises {
-        return Err(InvalidSetting::NoEffect { name: "raise" });
-    }
-    Ok(settings)
-}
-
-/// Returns the first setting of an error of observation.
-fn name_of_error_setting(text: &str) -> Option<&'static str> {
-    let names = TwoSidedSettings::ERROR_NAMES;
-    let given = text
-        .split(',')
-        .filter_map(|setting| setting.split('=').next());
-    given
-        .flat_map(|given| names.into_iter().find(|name| *name == given))
-        .next()
-}
-
 impl TwoSidedCommand {
-    /// Notes that the certificate does not cover the driver of the scenario's own follower.
-    fn note_driver_outside_class(&self, run: &Run, vehicle: usize, quiet: bool) {
-        let params = run.two_sided_shield(vehicle, &self.settings);
-        let class = params.ok().and_then(|params| params.follower);
-        let driver = class.and_then(|class| run.driver_outside_class(vehicle, &class));
-        if let Some(driver) = driver {
-            output::note(&describe_outside_class(vehicle + 1, driver), quiet);
-        }
-    }
-
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let scenario = args::load_scenario(&self.scenario, global.controllers)?;
         let at_scenario = |problem: &dyn std::fmt::Display| CliError::at(&self.scenario, problem);
@@ -114,7 +69,13 @@ impl TwoSidedCommand {
         let controller = BuiltInController::Baseline(AebSettings::default());
         let options = RunOptions::new(controller).with_estimator(EstimatorKind::Truth);
         let run = Run::new(&scenario, options).map_err(|error| at_scenario(&error))?;
-        self.note_driver_outside_class(&run, vehicle, global.quiet);
+        let follower = ScenarioFollower::of_vehicle(&run, vehicle, &self.settings);
+        if let Some(note) = follower
+            .as_ref()
+            .and_then(|follower| follower.note(vehicle + 1))
+        {
+            output::note(&note, global.quiet);
+        }
         let certificate = if self.filter {
             run.two_sided_shield(vehicle, &self.settings)
                 .map_err(NoTwoSidedCertificate::from)
@@ -133,7 +94,8 @@ impl TwoSidedCommand {
         files.stage(&output::resolve_output_path(&self.certificate)?, text)?;
         files.commit()?;
         let path = self.certificate.display().to_string();
-        let report = CertificateReport::new(path, &certificate, Controllers::default());
+        let report = CertificateReport::new(path, &certificate, Controllers::default())
+            .with_follower(follower);
         let verdict = accepted_line(&report)?;
         match self.format {
             OutputFormat::Json => output::print(&report_json(&[report]).map_err(CliError::input)?),

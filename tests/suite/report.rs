@@ -9,9 +9,9 @@ use std::sync::LazyLock;
 
 use crumple_core::observer::Quiet;
 use crumple_report::assessment::{
-    AssessConfig, AssessmentPlan, AssessmentReport, EvidenceCache, RoundedAvoidance, RunInfo,
-    assess,
+    AssessConfig, AssessmentPlan, AssessmentReport, EvidenceCache, RunInfo, assess,
 };
+use crumple_search::worst_case::AvoidanceClass;
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
@@ -620,16 +620,15 @@ fn no_controller_exceeds_the_bound_and_regrets_add_up() {
         crumple_sim::scenario::built_in_scenario_names().len()
     );
     for scenario in scenarios {
-        let Some(RoundedAvoidance::Avoidable {
-            escape_min_gap_m,
-            min_gap_bound_m,
-            ..
-        }) = &scenario.avoidance
-        else {
-            panic!("avoidable")
-        };
-        let bound_m = min_gap_bound_m.expect("a bound").value();
-        assert!(escape_min_gap_m.value() <= bound_m);
+        let report = scenario.avoidance.as_ref().expect("an analysis");
+        assert_eq!(report.verdict, AvoidanceClass::Avoidable);
+        // The report shows these numbers.
+        let shown = &serde_json::to_value(scenario).unwrap()["avoidance"];
+        let bound_m = shown["min_gap_bound_m"].as_f64().expect("a bound");
+        let escape_m = shown["escape_min_gap_m"].as_f64().expect("a gap");
+        assert!(report.min_gap_bound_m.expect("a bound") <= bound_m);
+        assert!(escape_m <= report.escape_min_gap_m.expect("a gap"));
+        assert!(escape_m <= bound_m);
         assert_eq!(
             scenario.cases.len(),
             BUILT_IN_ASSESSMENT.summary.controllers.len()
@@ -640,7 +639,6 @@ fn no_controller_exceeds_the_bound_and_regrets_add_up() {
                 case.regret_m.expect("a regret").value(),
             );
             assert!(own_m <= bound_m, "{}: {own_m} m", case.controller);
-            let escape_m = escape_min_gap_m.value();
             assert!((own_m + regret_m - escape_m).abs() < 1e-9 || regret_m == 0.0);
             let pairs = [case.ahead.min_gap_m, case.behind.min_gap_m]
                 .into_iter()

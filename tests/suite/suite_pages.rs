@@ -5,9 +5,10 @@ use std::path::Path;
 
 use crumple_core::observer::Quiet;
 use crumple_report::assessment::{
-    AssessmentGate, AssessmentPlan, EvidenceCache, GateConfig, Property, Strength, SuiteConfig,
-    assess,
+    AssessmentGate, AssessmentPlan, EvidenceCache, GateConfig, PlannedSuiteResult, Property,
+    Strength, SuiteConfig, assess,
 };
+use crumple_search::falsify::counterexample::Avoidability;
 use crumple_sim::observation::EstimatorKind;
 use crumple_suites::{MarginEnd, SweepFailure, TestSuite, run};
 
@@ -194,26 +195,26 @@ fn suites_are_evidence_of_an_assessment() {
         "simulate failed.toml --controller full-throttle --expect collision",
     );
     // The escape of an avoidable failure is next to it.
-    let outcomes = found
+    let tests = found
         .results
         .suites
         .iter()
         .flat_map(|part| &part.suites)
-        .flat_map(|suite| &suite.tests)
-        .flat_map(|test| &test.outcomes);
-    let worst: Vec<_> = outcomes
-        .filter_map(|outcome| outcome.worst.as_ref())
+        .flat_map(PlannedSuiteResult::tests);
+    let failures: Vec<_> = tests
+        .flatten()
+        .filter_map(|outcome| Some((outcome.tested.fastest_failure()?, outcome.failure?)))
         .collect();
-    for case in &worst {
+    for (failed, failure) in &failures {
         assert_eq!(
-            case.escape.is_some(),
-            case.preventable.contains("an escape keeps"),
-            "{case:?}"
+            failure.escape.is_some(),
+            matches!(failed.avoidability, Avoidability::Avoidable { .. }),
+            "{failure:?}"
         );
     }
-    let escape = worst
+    let escape = failures
         .iter()
-        .find_map(|case| case.escape.as_ref())
+        .find_map(|(_, failure)| failure.escape.as_ref())
         .expect("something is avoidable");
     fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
     run_ok(folder.path(), "simulate escape.toml --expect safe");

@@ -692,9 +692,10 @@ fn the_worst_of_several_seeds_counts_for_a_controller_that_acts_at_random() {
             .is_some()
     };
     for failed in &tested.failed_points {
-        assert!(collides(&failed.scenario), "{}", failed.scenario_name);
+        let scenario = failed.scenario.as_ref().unwrap();
+        assert!(collides(scenario), "{}", failed.scenario_name);
         let collisions = (0..10).filter(|&seed| {
-            let seeded = failed.scenario.edited(|spec| spec.seed = seed);
+            let seeded = scenario.edited(|spec| spec.seed = seed);
             collides(&seeded.unwrap())
         });
         assert_eq!(failed.failed_seeds, Some(collisions.count() as u32));
@@ -1204,15 +1205,16 @@ fn the_worst_within_a_clause_is_no_better_than_its_grid() {
             );
         }
         if let Some(failed) = &within.failed_point {
+            let scenario = failed.scenario.as_ref().unwrap();
             let driver = find_controller(&failed.with_test_driver(&driver.name));
             let options = RunOptions::new(driver.source).with_estimator(EstimatorKind::Truth);
             let again = simulate(
-                &Run::new(&failed.scenario, options).unwrap(),
+                &Run::new(scenario, options).unwrap(),
                 RecordingLevel::Summary,
             );
             let collision = again.outcome.collision().expect("replays");
             assert_eq!(collision.impact_speed_mps, impact_mps(&within.verdict));
-            let gap_m = failed.scenario.initial_gap_m(1).unwrap();
+            let gap_m = scenario.initial_gap_m(1).unwrap();
             assert!((12.0..=40.0).contains(&gap_m));
         }
     }

@@ -5,6 +5,7 @@ mod json;
 mod text;
 
 use super::binding::read_space;
+use super::two_sided::ScenarioFollower;
 use super::{BindingError, check_binding, count_omitted_vehicles};
 pub use counts::CountsStatus;
 use crumple_controllers::Controllers;
@@ -29,6 +30,8 @@ pub struct CertificateReport<'a> {
     pub counts: Option<CountsStatus>,
     /// Reason why the certificate is not about the requested scenario, if one was requested.
     pub covers_scenario: Option<Result<(), String>>,
+    /// Follower of the scenario for which the certificate was made, if that is known.
+    pub follower: Option<ScenarioFollower>,
     /// Opens the drivers that texts name as files.
     pub controllers: Controllers,
 }
@@ -60,6 +63,7 @@ impl<'a> CertificateReport<'a> {
             accepted,
             counts: None,
             covers_scenario: None,
+            follower: None,
             controllers,
         })
     }
@@ -74,12 +78,19 @@ impl<'a> CertificateReport<'a> {
             accepted,
             counts: None,
             covers_scenario: None,
+            follower: None,
             controllers,
         }
     }
 }
 
 impl CertificateReport<'_> {
+    /// Adds the follower of the scenario for which the certificate was made.
+    #[must_use]
+    pub fn with_follower(self, follower: Option<ScenarioFollower>) -> Self {
+        Self { follower, ..self }
+    }
+
     /// True if the certificate is rejected, refuted, or not about the requested scenario.
     #[must_use]
     pub fn is_refused(&self) -> bool {

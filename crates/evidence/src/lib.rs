@@ -67,8 +67,8 @@ pub use remote::{BlockSource, CountedBlocks, RemoteCountError};
 pub use replay_report::{DriveOfRecording, ReplayReport};
 pub use rerun::{BlockSelection, Confirmation, Rerun, RerunError};
 pub use two_sided::{
-    NoTwoSidedCertificate, describe_followers, filter_certificate, initial_state_certificate,
-    plan_certificate,
+    NoTwoSidedCertificate, ScenarioFollower, describe_followers, filter_certificate,
+    initial_state_certificate, plan_certificate,
 };
 
 use crumple_verify::{Certificate, Statement};

@@ -2,9 +2,11 @@
 
 use crumple_verify::two_sided as claim;
 use crumple_verify::{Certificate, ConstantPiece, Rejection, Statement, TwoSidedClaim};
+use serde::Serialize;
 
 use super::certificate_without_scenario;
 use crumple_core::digits::format_number;
+use crumple_measure::describe_outside_class;
 use crumple_sim::control::{
     CommandsAfterFiring, FollowerClass, FollowerPhase, FollowerTrigger, LevelMeter, PlanCommands,
     ShieldRefusal, TwoSidedParams, TwoSidedSettings,
@@ -163,6 +165,35 @@ fn claim_without_start(params: &TwoSidedParams) -> Result<TwoSidedClaim, NoTwoSi
         },
         start: None,
     })
+}
+
+/// The followers that a two-sided certificate covers, and the follower of its scenario.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScenarioFollower {
+    /// The followers of the class, in words after "a follower that".
+    pub followers: String,
+    /// The driver of the scenario's follower, unless it is known to be of the class.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub driver_outside_class: Option<&'static str>,
+}
+
+impl ScenarioFollower {
+    /// Compares the follower of vehicle `vehicle` with the class of the settings; `None` without a follower.
+    #[must_use]
+    pub fn of_vehicle(run: &Run, vehicle: usize, settings: &TwoSidedSettings) -> Option<Self> {
+        let class = run.two_sided_shield(vehicle, settings).ok()?.follower?;
+        Some(Self {
+            followers: describe_followers(&class),
+            driver_outside_class: run.driver_outside_class(vehicle, &class),
+        })
+    }
+
+    /// Returns the note that the class may not contain the follower, which is vehicle `vehicle`.
+    #[must_use]
+    pub fn note(&self, vehicle: usize) -> Option<String> {
+        let driver = self.driver_outside_class?;
+        Some(describe_outside_class(vehicle, driver))
+    }
 }
 
 /// Returns the followers of a class in words, after "a follower that".

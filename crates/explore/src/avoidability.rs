@@ -1,5 +1,6 @@
 //! Avoidability of a collision.
 
+use crumple_core::digits::{format_fixed_down, format_fixed_up};
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Escape, avoid};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
@@ -28,8 +29,8 @@ pub(crate) fn check_avoidability(
     let answer = match &avoidance.verdict {
         AvoidanceVerdict::Avoidable(escape) => {
             format!(
-                "Yes: this escape keeps {:.2} m. A driver with knowledge of the future can drive like this.",
-                (100.0 * escape.min_gap_m).floor() / 100.0
+                "Yes: this escape keeps {} m. A driver with knowledge of the future can drive like this.",
+                format_fixed_down(escape.min_gap_m, 2)
             )
         }
         AvoidanceVerdict::Unavoidable(_) => {
@@ -40,14 +41,14 @@ pub(crate) fn check_avoidability(
     };
     let bound = avoidance.min_gap_bound_m.map(|bound_m| {
         format!(
-            "No driver keeps more than {:.2} m. This is a computed bound without a certificate.",
-            (100.0 * bound_m).ceil() / 100.0
+            "No driver keeps more than {} m. This is a computed bound without a certificate.",
+            format_fixed_up(bound_m, 2)
         )
     });
     let sentences = [answer].into_iter().chain(bound).collect();
     let escape = avoidance.verdict.escape();
     Ok(AvoidabilityResponse {
-        verdict: avoidance.verdict.name(),
+        verdict: avoidance.verdict.class().name(),
         sentences,
         escape_figure: escape
             .map_or(Ok(String::new()), |escape| render_escape(scenario, escape))?,

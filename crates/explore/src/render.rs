@@ -1,7 +1,7 @@
 //! Runs of a scenario on the page: verdicts, diagrams, and slider positions.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
-use crumple_measure::{LevelMeasures, UnnecessaryBraking};
+use crumple_measure::{DEFAULT_CLASS_WORDS, LevelMeasures, UnnecessaryBraking};
 use crumple_report::draw::{
     self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names,
 };
@@ -171,12 +171,7 @@ fn level_notes(run: &Run, result: &SimulationResult) -> Vec<String> {
     LevelMeasures::of_vehicles_under_test(run, result, &TwoSidedSettings::default())
         .into_iter()
         .filter_map(|(_, level)| level.ok())
-        .map(|level| {
-            format!(
-                "{}; for followers whose brake fires at a time to collision below 1.4 s",
-                level.describe()
-            )
-        })
+        .map(|level| format!("{}; for {DEFAULT_CLASS_WORDS}", level.describe()))
         .collect()
 }
 

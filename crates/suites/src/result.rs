@@ -20,11 +20,11 @@ use crumple_search::falsify::counterexample::Avoidability;
 pub const DISCLAIMER: &str =
     "Modelled on the document, for point masses in one lane. This is no certification.";
 
-/// Result of a suite.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// Result of a suite. Reading its JSON returns the same result without the scenarios of failed points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SuiteResult {
     /// Scope of the result: [`DISCLAIMER`].
-    pub statement: &'static str,
+    pub statement: String,
     /// Name of the suite.
     pub suite: String,
     /// Document that the suite is modelled on.
@@ -44,7 +44,7 @@ pub struct SuiteResult {
 }
 
 /// Result of a clause.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ClauseResult {
     /// Number of the clause in the document.
     pub clause: String,
@@ -55,34 +55,34 @@ pub struct ClauseResult {
 }
 
 /// Result of a test.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TestResult {
     /// Name of the test.
     pub name: String,
     /// Names of the requirements that the test verifies.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub requirement: Vec<String>,
     /// True if the document states all parameters; otherwise crumple chose some.
     pub is_as_stated: bool,
     /// True if the test driver holds the speed of the start.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub holds_speed: bool,
     /// Parameters, each with its origin.
     pub parameters: TestParameters,
     /// Largest impact speed that passes; `None` if no collision passes.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
     /// Results, one per controller.
     pub controllers: Vec<ControllerResult>,
 }
 
 /// Result of a test with a controller.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ControllerResult {
     /// Name of the controller.
     pub controller: String,
     /// Number of runs of each point, each with another seed; the worst one counts.
-    #[serde(skip_serializing_if = "is_one")]
+    #[serde(default = "one_seed", skip_serializing_if = "is_one")]
     pub seeds: u32,
     /// Worst verdict of all points.
     pub verdict: TestVerdict,
@@ -95,12 +95,12 @@ pub struct ControllerResult {
     /// Margins of the test.
     pub margins: Vec<Margin>,
     /// Worst point found within the ranges and tolerances of the clause; `None` if it states none.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub worst_in_tolerance: Option<WorstInTolerance>,
     /// Points of the grid that failed.
     pub failed_points: Vec<FailedPoint>,
     /// Warning after which the driver brakes; `None` in tests without it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warning: Option<WarningOrigin>,
 }
 
@@ -115,17 +115,17 @@ pub enum WarningOrigin {
 }
 
 /// A point that failed.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FailedPoint {
     /// Description of the point.
     pub point: String,
     /// Verdict of the point, with several seeds the worst one.
     pub verdict: TestVerdict,
     /// Number of seeds with which the point failed; absent if it was run once.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failed_seeds: Option<u32>,
     /// Test driver of the vehicle under test, if it has one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub test_driver: Option<TestDriverSettings>,
     /// Behaviour of the reference drivers at the point, with the true state.
     pub references: Vec<ReferenceRun>,
@@ -133,19 +133,20 @@ pub struct FailedPoint {
     #[serde(flatten)]
     pub avoidability: Avoidability,
     /// True if the point also fails with the multi-body plant; absent if the controller refuses the plant.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub survives_multi_body: Option<bool>,
     /// True if the escape has no collision with the multi-body plant either; absent without an escape.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape_survives_multi_body: Option<bool>,
-    /// Scenario in which a script in place of the vehicle under test avoids the collision, if it is avoidable.
+    /// Scenario in which a script in place of the vehicle under test avoids the collision, if it is avoidable. `None`
+    /// in a result that was read from JSON.
     #[serde(skip)]
     pub escape: Option<Scenario>,
     /// File name of the scenario, without extension.
     pub scenario_name: String,
-    /// Scenario of the point.
+    /// Scenario of the point; `None` in a result that was read from JSON.
     #[serde(skip)]
-    pub scenario: Scenario,
+    pub scenario: Option<Scenario>,
 }
 
 /// Verdict of a test.
@@ -183,7 +184,56 @@ pub enum TestVerdict {
     },
 }
 
+/// Number of seeds that the JSON of a result leaves out.
+fn one_seed() -> u32 {
+    1
+}
+
 impl ControllerResult {
+    /// Returns the number of simulated points, of the grid and of the search within the tolerances.
+    #[must_use]
+    pub fn points_run(&self) -> usize {
+        let within = self.worst_in_tolerance.as_ref();
+        self.passed_points + self.failed_points.len() + within.map_or(0, |within| within.points_run)
+    }
+
+    /// Returns the number of simulated points that failed.
+    #[must_use]
+    pub fn points_failed(&self) -> usize {
+        let within = self.worst_in_tolerance.as_ref();
+        self.failed_points.len() + within.map_or(0, |within| within.failures)
+    }
+
+    /// Returns the failure with the highest impact speed; the last of equals.
+    #[must_use]
+    pub fn fastest_failure(&self) -> Option<&FailedPoint> {
+        self.failures().max_by(|a, b| {
+            let impact_mps = a.verdict.impact_speed_mps();
+            impact_mps.total_cmp(&b.verdict.impact_speed_mps())
+        })
+    }
+
+    /// Returns the points of the search within the tolerances at which the controller gave no answer.
+    #[must_use]
+    pub fn unanswered_in_tolerance(&self) -> Option<FailedControllerRuns> {
+        self.worst_in_tolerance.as_ref()?.unanswered.clone()
+    }
+
+    /// Returns the number of runs without an answer, of grid and search, and the reason of the first.
+    #[must_use]
+    pub fn total_unanswered(&self) -> Option<FailedControllerRuns> {
+        let mut unanswered = self.unanswered();
+        FailedControllerRuns::merge(&mut unanswered, self.unanswered_in_tolerance());
+        unanswered
+    }
+
+    /// Returns true if the controller passed the test, and false if it failed; `None` if the test could not be run.
+    #[must_use]
+    pub fn outcome(&self) -> Option<bool> {
+        let is_passed = self.is_passed();
+        (is_passed || !self.verdict.is_refusal()).then_some(is_passed)
+    }
+
     /// Returns the points of the grid at which the controller gave no answer; they also count as failed.
     #[must_use]
     pub fn unanswered(&self) -> Option<FailedControllerRuns> {

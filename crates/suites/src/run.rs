@@ -168,7 +168,7 @@ fn assemble(
         });
     }
     SuiteResult {
-        statement: DISCLAIMER,
+        statement: DISCLAIMER.to_owned(),
         suite: spec.name.clone(),
         document: spec.document.clone(),
         edition: spec.edition.clone(),
@@ -341,7 +341,7 @@ impl<'t> TestGrid<'t> {
                 escape_survives_multi_body: classification.escape_survives,
                 escape: classification.escape,
                 scenario_name: run.scenario.spec().name.clone(),
-                scenario: run.scenario.clone(),
+                scenario: Some(run.scenario.clone()),
             });
         }
         failed_points

@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::parameter::TestParameter;
 use super::result::{FailedPoint, TestVerdict};
@@ -20,7 +20,7 @@ const REFINEMENTS: i32 = 5;
 const SAMPLES_PER_REFINEMENT: usize = 48;
 
 /// Worst point found within the ranges of a test.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WorstInTolerance {
     /// Description of the point.
     pub point: String,
@@ -33,7 +33,7 @@ pub struct WorstInTolerance {
     /// Number of points that failed.
     pub failures: usize,
     /// Number of failed points without an answer of the controller, and the reason of the first.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
     /// Details of the point, if it failed.
     pub failed_point: Option<FailedPoint>,

@@ -92,6 +92,23 @@ fn two_sided_certificates_are_written_and_accepted() {
             stdout(&checked)
         );
     }
+    // The emergency brake of `paper-1` fires by the time to collision, and not when the vehicle ahead brakes.
+    for (settings, driver) in [("level=3", None), ("level=2,reacts=0.5", Some("baseline"))] {
+        let command = format!("verify two-sided paper-1 --settings {settings} --format json");
+        let written = &json_objects(&run_ok(folder.path(), &command))[0];
+        assert!(
+            written["followers"]
+                .as_str()
+                .unwrap()
+                .starts_with("brakes at"),
+            "{written}"
+        );
+        assert_eq!(
+            written["driver_outside_class"].as_str(),
+            driver,
+            "{written}"
+        );
+    }
     let too_high = run_crumple(
         folder.path(),
         "verify two-sided paper-1 --settings level=12",

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::counts::detection_probabilities;
 use super::{CertificateReport, CountsStatus, is_built_in, joint_confidence};
+use crate::two_sided::ScenarioFollower;
 
 #[derive(Default, Serialize)]
 struct ReportLine<'a> {
@@ -31,6 +32,8 @@ struct ReportLine<'a> {
     rejection: Option<String>,
     about_scenario: Option<bool>,
     not_about_scenario: Option<&'a str>,
+    #[serde(flatten)]
+    follower: Option<&'a ScenarioFollower>,
 }
 
 #[derive(Serialize)]
@@ -122,6 +125,7 @@ impl<'a> ReportLine<'a> {
             not_about_scenario: coverage
                 .and_then(|covers| covers.as_ref().err())
                 .map(String::as_str),
+            follower: report.follower.as_ref(),
             ..Self::default()
         };
         if let Ok(claim) = &report.accepted {

@@ -1,12 +1,12 @@
 //! The best escape found from a scenario, and the regret of a controller against it.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 use super::gather_context::GatherContext;
 use super::{CacheError, CaseResult, Rounded};
-use crumple_search::confirmation::escape_survives;
+use crumple_core::digits::{format_fixed, format_fixed_down, format_fixed_up};
 use crumple_search::worst_case::{
-    AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario,
+    AvoidOptions, AvoidReport, AvoidanceClass, AvoidanceVerdict, avoid, covers_scenario,
 };
 use crumple_sim::scenario::{Scenario, file};
 use crumple_verify::{Certificate, ProvedClaim, check};
@@ -15,11 +15,15 @@ use crumple_verify::{Certificate, ProvedClaim, check};
 pub(super) const COLLIDING_ESCAPE: &str = "multi-body: collides";
 
 /// An avoidance verdict with rounded numbers: can any driver avoid a collision, and by how much?
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+// The form of an `AvoidReport` in the JSON of the assessment.
+#[derive(Debug, Serialize)]
+#[cfg_attr(
+    feature = "schema",
+    derive(schemars::JsonSchema),
+    schemars(rename = "RoundedAvoidance")
+)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum RoundedAvoidance {
+pub(super) enum AvoidanceJson {
     /// A replayed profile avoids a collision.
     Avoidable {
         /// Smallest gap of the escape between any two vehicles, the largest found, in metres, rounded down.
@@ -43,105 +47,110 @@ pub enum RoundedAvoidance {
     },
 }
 
-impl RoundedAvoidance {
-    fn from_avoidance(
-        scenario: &Scenario,
-        Avoidance {
-            verdict,
-            min_gap_bound_m,
-            bound_certificate,
-            ..
-        }: &Avoidance,
-    ) -> Self {
-        match verdict {
-            AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
-                escape_min_gap_m: Rounded::down(escape.min_gap_m),
-                min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
-                min_gap_bound_is_certified: bound_certificate.is_some(),
-                trigger_time_s: escape.trigger_time_s().map(Rounded::new),
-                escape_survives_multi_body: escape_survives(scenario, &escape.acceleration_mps2),
+impl AvoidanceJson {
+    fn new(report: &AvoidReport) -> Self {
+        match (report.verdict, report.escape_min_gap_m) {
+            (AvoidanceClass::Avoidable, Some(gap_m)) => Self::Avoidable {
+                escape_min_gap_m: Rounded::down(gap_m),
+                min_gap_bound_m: report.min_gap_bound_m.map(Rounded::up),
+                min_gap_bound_is_certified: report.min_gap_bound_is_certified,
+                trigger_time_s: report.trigger_time_s.map(Rounded::new),
+                escape_survives_multi_body: report.escape_survives_multi_body,
             },
-            AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
-            AvoidanceVerdict::Undecided(reason) => Self::Undecided {
-                reason: reason.to_string(),
+            (AvoidanceClass::Unavoidable, _) => Self::Unavoidable,
+            (AvoidanceClass::Avoidable | AvoidanceClass::Undecided, _) => Self::Undecided {
+                reason: describe_reason(report),
             },
         }
     }
+}
 
-    /// Returns how much smaller the smallest gap of a case is than that of the best escape found, from the rounded
-    /// numbers; `None` without an escape, or if other vehicles collided first. Zero for a controller that beats the
-    /// escape within its grid.
-    pub(super) fn regret_m(&self, case: &CaseResult) -> Option<Rounded<2>> {
-        match self {
-            Self::Avoidable {
-                escape_min_gap_m, ..
-            } if case.verdict.is_conclusive() => Some(Rounded::new(
-                (escape_min_gap_m.value() - case.min_gap_m?.value()).max(0.0),
-            )),
-            _ => None,
-        }
-    }
+/// Writes a report in the form of the assessment's JSON.
+#[expect(clippy::ref_option, reason = "as serde calls it")]
+pub(super) fn serialize_rounded<S: Serializer>(
+    report: &Option<AvoidReport>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    report
+        .as_ref()
+        .map(AvoidanceJson::new)
+        .serialize(serializer)
+}
 
-    pub(super) fn describe(&self) -> String {
-        match self {
-            Self::Avoidable {
-                escape_min_gap_m,
-                min_gap_bound_m,
-                min_gap_bound_is_certified,
-                trigger_time_s,
-                escape_survives_multi_body,
-            } => {
-                let fires = trigger_time_s
-                    .map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
-                let by = if *min_gap_bound_is_certified {
-                    "proved"
-                } else {
-                    "computed, without a certificate"
-                };
-                let bound = min_gap_bound_m
-                    .map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
-                let replay = escape_survives_multi_body.map_or("", |survives| match survives {
-                    true => " With the multi-body plant, this escape has no collision either.",
-                    false => " With the multi-body plant, this escape COLLIDES.",
-                });
-                format!(
-                    "Avoidable: smallest gap of the best escape found {escape_min_gap_m} m{}{}.{replay}",
-                    fires.unwrap_or_default(),
-                    bound.unwrap_or_default()
-                )
-            }
-            Self::Unavoidable => {
-                "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned()
-            }
-            Self::Undecided { reason } => {
-                format!("Undecided if a driver could avoid the collision: {reason}.")
-            }
-        }
+/// Returns how much smaller the smallest gap of a case is than that of the best escape found, from the rounded numbers.
+/// `None` without an escape, or if other vehicles collided first. Zero for a controller that beats the escape within
+/// its grid.
+pub(super) fn regret_m(report: &AvoidReport, case: &CaseResult) -> Option<Rounded<2>> {
+    if !case.verdict.is_conclusive() {
+        return None;
     }
+    let escape_m = Rounded::<2>::down(report.escape_min_gap_m?);
+    let regret_m = escape_m.value() - case.min_gap_m?.value();
+    Some(Rounded::new(regret_m.max(0.0)))
+}
 
-    pub(super) fn label(&self) -> String {
-        match self {
-            Self::Avoidable {
-                escape_min_gap_m,
-                escape_survives_multi_body: Some(false),
-                ..
-            } => {
-                format!("{escape_min_gap_m} m; {COLLIDING_ESCAPE}")
-            }
-            Self::Avoidable {
-                escape_min_gap_m, ..
-            } => format!("{escape_min_gap_m} m"),
-            Self::Unavoidable => "unavoidable".to_owned(),
-            Self::Undecided { .. } => "undecided".to_owned(),
+/// Describes an analysis in a paragraph.
+pub(super) fn describe_avoidance(report: &AvoidReport) -> String {
+    match (report.verdict, report.escape_min_gap_m) {
+        (AvoidanceClass::Avoidable, Some(gap_m)) => describe_escape(report, gap_m),
+        (AvoidanceClass::Unavoidable, _) => {
+            "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned()
         }
+        (AvoidanceClass::Avoidable | AvoidanceClass::Undecided, _) => format!(
+            "Undecided if a driver could avoid the collision: {}.",
+            describe_reason(report)
+        ),
     }
+}
+
+fn describe_escape(report: &AvoidReport, gap_m: f64) -> String {
+    let fires = report.trigger_time_s.map(|time_s| {
+        let time = format_fixed(time_s, 2);
+        format!("; the follower's emergency brake fires at {time} s")
+    });
+    let bound = report.min_gap_bound_m.map(|bound_m| {
+        let bound = format_fixed_up(bound_m, 2);
+        format!(
+            "; no driver keeps more than {bound} m ({})",
+            report.bound_proof()
+        )
+    });
+    let replay = match report.escape_survives_multi_body {
+        None => "",
+        Some(true) => " With the multi-body plant, this escape has no collision either.",
+        Some(false) => " With the multi-body plant, this escape COLLIDES.",
+    };
+    format!(
+        "Avoidable: smallest gap of the best escape found {} m{}{}.{replay}",
+        format_fixed_down(gap_m, 2),
+        fires.unwrap_or_default(),
+        bound.unwrap_or_default()
+    )
+}
+
+/// Describes an analysis in a cell of a table.
+pub(super) fn label_avoidance(report: &AvoidReport) -> String {
+    match (report.verdict, report.escape_min_gap_m) {
+        (AvoidanceClass::Avoidable, Some(gap_m)) => {
+            let mark = match report.escape_survives_multi_body {
+                Some(false) => format!("; {COLLIDING_ESCAPE}"),
+                Some(true) | None => String::new(),
+            };
+            format!("{} m{mark}", format_fixed_down(gap_m, 2))
+        }
+        (class, _) => class.name().to_owned(),
+    }
+}
+
+fn describe_reason(report: &AvoidReport) -> String {
+    let reason = report.reason.as_ref();
+    reason.map(ToString::to_string).unwrap_or_default()
 }
 
 /// The avoidance of a scenario, and the certificate of its claims about every driver.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct CertifiedAvoidance {
-    #[serde(alias = "best")]
-    pub(super) avoidance: RoundedAvoidance,
+    pub(super) report: AvoidReport,
     pub(super) certificate: Option<Certificate>,
 }
 
@@ -171,7 +180,7 @@ impl CertifiedAvoidance {
         };
         match avoid(scenario, options) {
             Ok(avoidance) => {
-                let best = RoundedAvoidance::from_avoidance(scenario, &avoidance);
+                let report = AvoidReport::new(scenario, &avoidance);
                 let certificate = match avoidance.verdict {
                     AvoidanceVerdict::Unavoidable(certificate) => Some(certificate),
                     AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => {
@@ -179,42 +188,35 @@ impl CertifiedAvoidance {
                     }
                 };
                 Self {
-                    avoidance: best,
+                    report,
                     certificate: certificate.map(|certificate| *certificate),
                 }
             }
             Err(error) => Self {
-                avoidance: RoundedAvoidance::Undecided {
-                    reason: error.to_string(),
-                },
+                report: AvoidReport::not_analysed(scenario, &error),
                 certificate: None,
             },
         }
     }
 
-    /// True if the certificate supports what the avoidance claims about every driver.
+    /// True if the certificate supports what the report claims about every driver.
     fn is_valid_for(&self, scenario: &Scenario) -> bool {
-        let shown = self
+        let claim = self
             .certificate
             .as_ref()
             .map(|certificate| (check(certificate), covers_scenario(certificate, scenario)));
-        match (&self.avoidance, shown) {
-            (RoundedAvoidance::Unavoidable, shown) => {
-                matches!(shown, Some((Ok(ProvedClaim::Unavoidable { .. }), true)))
+        let bound_m = self
+            .report
+            .min_gap_bound_m
+            .filter(|_| self.report.min_gap_bound_is_certified);
+        match (self.report.verdict, bound_m) {
+            (AvoidanceClass::Unavoidable, _) => {
+                matches!(claim, Some((Ok(ProvedClaim::Unavoidable { .. }), true)))
             }
-            (
-                RoundedAvoidance::Avoidable {
-                    min_gap_bound_m: Some(bound_m),
-                    min_gap_bound_is_certified: true,
-                    ..
-                },
-                shown,
-            ) => {
-                matches!(shown, Some((Ok(ProvedClaim::GapBound { gap_m, .. }), true)) if Rounded::up(gap_m) == *bound_m)
+            (_, Some(bound_m)) => {
+                matches!(claim, Some((Ok(ProvedClaim::GapBound { gap_m, .. }), true)) if gap_m == bound_m)
             }
-            (RoundedAvoidance::Avoidable { .. } | RoundedAvoidance::Undecided { .. }, shown) => {
-                shown.is_none()
-            }
+            (AvoidanceClass::Avoidable | AvoidanceClass::Undecided, None) => claim.is_none(),
         }
     }
 }

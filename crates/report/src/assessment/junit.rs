@@ -1,9 +1,10 @@
 //! Gates, claims about the subject and tests of suites in JUnit format, for build servers and requirements tools.
 
 use super::claims::{ClaimStatus, Domain, StrengthLevel};
-use super::parts::{SuiteFindings, SuiteOutcome, SuiteTest};
+use super::parts::{PlannedSuiteResult, SuiteOutcome};
 use super::{AssessmentReport, AssuranceClaim, ClaimRow, GateResult};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
+use crate::suite::{describe_min_margins, describe_verdict};
 
 /// Renders gates, claims about the subject and tests of suites as test cases. The claims about other controllers are
 /// properties.
@@ -17,11 +18,11 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
         },
         assessment.claims_suite(),
     ];
-    let findings = assessment.results.suites.iter();
-    for findings in findings.flat_map(|suites| &suites.suites) {
+    let results = assessment.results.suites.iter();
+    for suite in results.flat_map(|suites| &suites.suites) {
         suites.push(JunitSuite {
-            name: findings.suite.name.clone(),
-            cases: suite_cases(findings),
+            name: suite.content_id.name.clone(),
+            cases: suite_cases(suite),
             ..assessment.empty_junit_suite()
         });
     }
@@ -134,9 +135,10 @@ impl AssessmentReport {
             }
             Domain::Suite { suite } => {
                 let suites = self.results.suites.as_ref()?;
-                let findings = suites.suites.iter().find(|other| other.suite == *suite)?;
-                let mut outcomes = findings.outcomes_of(controller);
-                outcomes.find_map(|(_, outcome)| Some(outcome.worst.as_ref()?.file.clone()))
+                let mut results = suites.suites.iter();
+                let result = results.find(|result| result.content_id == *suite)?;
+                let mut outcomes = result.outcomes_of(controller);
+                outcomes.find_map(|outcome| Some(outcome.failure?.file.clone()))
             }
             Domain::Scenarios { all, .. } => {
                 let files = self.results.file_scenarios.as_ref()?;
@@ -148,38 +150,30 @@ impl AssessmentReport {
 }
 
 /// Returns a case for each test and each of its controllers.
-fn suite_cases(findings: &SuiteFindings) -> Vec<JunitCase> {
-    let controllers = findings.controllers.iter();
-    controllers
-        .flat_map(|controller| {
-            findings
-                .outcomes_of(controller)
-                .map(move |(test, outcome)| suite_case(findings, controller, test, outcome))
-        })
-        .collect()
+fn suite_cases(suite: &PlannedSuiteResult) -> Vec<JunitCase> {
+    let name = &suite.content_id.name;
+    let controllers = suite.controllers.iter();
+    let outcomes = controllers.flat_map(|controller| suite.outcomes_of(controller));
+    outcomes.map(|outcome| suite_case(name, outcome)).collect()
 }
 
-fn suite_case(
-    findings: &SuiteFindings,
-    controller: &str,
-    test: &SuiteTest,
-    outcome: &SuiteOutcome,
-) -> JunitCase {
-    let status = match outcome.passed {
+fn suite_case(suite: &str, outcome: SuiteOutcome<'_>) -> JunitCase {
+    let SuiteOutcome { test, tested, .. } = outcome;
+    let status = match tested.outcome() {
         Some(true) => JunitStatus::Passed,
-        Some(false) if outcome.total_unanswered().is_some() => JunitStatus::Error,
+        Some(false) if tested.total_unanswered().is_some() => JunitStatus::Error,
         Some(false) => JunitStatus::Failed,
         None => JunitStatus::Skipped,
     };
     JunitCase {
-        class: format!("crumple.suites.{}.{controller}", findings.suite.name),
-        name: format!("{}: {}", test.clause, test.name),
-        file: outcome.worst.as_ref().map(|worst| worst.file.clone()),
-        verifier: format!("{}: {}", findings.suite.name, test.name),
+        class: format!("crumple.suites.{suite}.{}", tested.controller),
+        name: format!("{}: {}", outcome.clause.clause, test.name),
+        file: outcome.failure.map(|failure| failure.file.clone()),
+        verifier: format!("{suite}: {}", test.name),
         requirements: test.requirement.clone(),
         status,
-        message: (status != JunitStatus::Passed).then(|| outcome.verdict.clone()),
-        output: outcome.margins.join("\n"),
+        message: (status != JunitStatus::Passed).then(|| describe_verdict(&tested.verdict)),
+        output: describe_min_margins(&tested.margins).join("\n"),
     }
 }
 

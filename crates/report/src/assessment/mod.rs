@@ -37,7 +37,6 @@ mod table;
 #[cfg(feature = "schema")]
 mod tagged_schema;
 
-pub use avoidance::RoundedAvoidance;
 pub use cache::{CacheError, EvidenceCache, EvidenceHash};
 pub use case::{
     CaseResult, CaseVerdict, PileUp, RoundedCollision, RoundedLeadMeasures, STILL_CLOSING_TTC_S,

@@ -44,7 +44,7 @@ pub struct AssessmentPlan {
     pub(super) subject_index: usize,
     /// Scenarios from files, in order of their paths relative to the configuration.
     pub(super) file_scenarios: Vec<(PathBuf, Scenario)>,
-    pub(super) left_out: Vec<DroppedItem>,
+    pub(super) dropped: Vec<DroppedItem>,
     pub(super) suites: Vec<PlannedSuite>,
     /// Recorded drives.
     pub(super) drives: Option<NamedDrives>,
@@ -380,7 +380,7 @@ pub(super) fn not_among_controllers(name: &str) -> String {
 /// Scenarios of the recordings, and the parts that are left out.
 struct ImportedRecordings {
     scenarios: Vec<ImportedScenario>,
-    left_out: Vec<DroppedItem>,
+    dropped: Vec<DroppedItem>,
 }
 
 struct PlanLoader<'a> {
@@ -450,7 +450,7 @@ impl PlanLoader<'_> {
             controllers,
             subject_index,
             file_scenarios,
-            left_out: recordings.left_out,
+            dropped: recordings.dropped,
             suites,
             drives,
             rate_spaces,
@@ -625,7 +625,7 @@ impl PlanLoader<'_> {
             )),
             None => Ok(ImportedRecordings {
                 scenarios,
-                left_out: imported.dropped,
+                dropped: imported.dropped,
             }),
         }
     }

@@ -155,14 +155,7 @@ impl ProgramResult {
     /// Returns the result if the programs cannot model a scenario.
     fn not_modelled(reason: UndecidedReason) -> Self {
         Self {
-            avoidance: Avoidance {
-                verdict: AvoidanceVerdict::Undecided(reason),
-                best_min_gap_m: None,
-                min_gap_bound_m: None,
-                bound_certificate: None,
-                programs: 0,
-                optimality: Optimality::BestFound,
-            },
+            avoidance: Avoidance::undecided(reason),
             profile_mps2: None,
             bound_m: f64::INFINITY,
             is_modelled: false,
@@ -239,10 +232,7 @@ fn explore_grids(
 /// Returns the reason that the search so far proves neither an escape nor that there is none.
 fn too_close(search: &FiringSearch<'_>) -> UndecidedReason {
     UndecidedReason::TooClose {
-        low_m: search
-            .best
-            .as_ref()
-            .map_or(f64::NEG_INFINITY, |best| best.gap_m),
+        low_m: search.best.as_ref().map(|best| best.gap_m),
         high_m: search.bound_m(),
     }
 }

@@ -1,12 +1,14 @@
 //! Report of an analysis of avoidability, as text and as JSON.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use super::avoidance::{Avoidance, AvoidanceVerdict, Optimality};
+use super::avoid::AvoidError;
+use super::avoidance::{Avoidance, AvoidanceClass, AvoidanceVerdict, Optimality};
 use super::emergency_brake::EmergencyBrake;
-use super::escape::{Escape, FoundBy};
+use super::escape::{Escape, EscapeMethod, FoundBy};
 use super::reason::UndecidedReason;
 use crate::confirmation::escape_survives;
+use crumple_core::digits::{format_fixed_down, format_fixed_up};
 use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
@@ -14,13 +16,13 @@ use crumple_sim::scenario::Scenario;
 const LARGEST_GAP: &str = "no larger smallest gap was found on this grid, over all trigger times of the follower's \
     emergency brake";
 
-/// Report of an analysis of avoidability.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct AvoidReport<'a> {
+/// Report of an analysis of avoidability. Reading its JSON returns the same report.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AvoidReport {
     /// Name of the scenario.
-    pub scenario: &'a str,
-    /// Name of the verdict.
-    pub verdict: &'static str,
+    pub scenario: String,
+    /// Verdict of the analysis.
+    pub verdict: AvoidanceClass,
     /// Largest smallest gap of all replayed escapes, in metres.
     pub best_min_gap_m: Option<f64>,
     /// Smallest gap of the escape, in metres.
@@ -29,8 +31,8 @@ pub struct AvoidReport<'a> {
     pub min_gap_bound_m: Option<f64>,
     /// True if a certificate proves the bound.
     pub min_gap_bound_is_certified: bool,
-    /// Reason why no driver keeps a larger gap: `bound` or `initial-gap`; `best-found` if that is not shown.
-    pub optimality: Option<&'static str>,
+    /// Proof that no driver keeps a larger gap; `None` without an escape.
+    pub optimality: Option<Optimality>,
     /// Time at which the follower's emergency brake fires in the replay, in seconds.
     pub trigger_time_s: Option<f64>,
     /// True if the follower's emergency brake fires in the replay; `None` if a driver behind is unknown.
@@ -39,8 +41,8 @@ pub struct AvoidReport<'a> {
     pub effort_m2ps3: Option<f64>,
     /// Criterion by which the escape is the best one.
     pub escape_is_best_for: Option<String>,
-    /// `programs`, or `closed-loop` if the programs do not model every driver.
-    pub escape_found_by: Option<&'static str>,
+    /// Method that found the escape.
+    pub escape_found_by: Option<EscapeMethod>,
     /// Number of convex programs solved.
     pub programs: usize,
     /// Number of simulations in closed loop.
@@ -48,33 +50,33 @@ pub struct AvoidReport<'a> {
     /// True if the escape has no collision with the multi-body plant either.
     pub escape_survives_multi_body: Option<bool>,
     /// Reason why the analysis decides nothing.
-    pub reason: Option<&'a UndecidedReason>,
+    pub reason: Option<UndecidedReason>,
 }
 
-impl<'a> AvoidReport<'a> {
+impl AvoidReport {
     /// Creates the report of an analysis, and replays an escape with the multi-body plant.
     #[must_use]
-    pub fn new(scenario: &'a Scenario, avoidance: &'a Avoidance) -> Self {
+    pub fn new(scenario: &Scenario, avoidance: &Avoidance) -> Self {
         let escape = avoidance.verdict.escape();
         let reason = match &avoidance.verdict {
-            AvoidanceVerdict::Undecided(reason) => Some(reason),
+            AvoidanceVerdict::Undecided(reason) => Some(reason.clone()),
             AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
         };
         let survives =
             escape.and_then(|escape| escape_survives(scenario, &escape.acceleration_mps2));
         Self {
-            scenario: &scenario.spec().name,
-            verdict: avoidance.verdict.name(),
+            scenario: scenario.spec().name.clone(),
+            verdict: avoidance.verdict.class(),
             best_min_gap_m: avoidance.best_min_gap_m,
             escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
             min_gap_bound_m: avoidance.min_gap_bound_m,
             min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
-            optimality: escape.map(|_| avoidance.optimality.name()),
+            optimality: escape.map(|_| avoidance.optimality),
             trigger_time_s: escape.and_then(Escape::trigger_time_s),
             emergency_brake_fires: escape.and_then(emergency_brake_fires),
             effort_m2ps3: escape.map(Escape::effort_m2ps3),
             escape_is_best_for: escape.map(|escape| criterion(escape.found_by)),
-            escape_found_by: escape.map(|escape| escape.found_by.name()),
+            escape_found_by: escape.map(|escape| escape.found_by.method()),
             programs: avoidance.programs,
             simulations: escape.map_or(0, |escape| simulations(escape.found_by)),
             escape_survives_multi_body: survives,
@@ -82,10 +84,23 @@ impl<'a> AvoidReport<'a> {
         }
     }
 
+    /// Creates the report of a scenario that was not analysed, with the reason.
+    #[must_use]
+    pub fn not_analysed(scenario: &Scenario, error: &AvoidError) -> Self {
+        let reason = UndecidedReason::NotAnalysed {
+            why: error.to_string(),
+        };
+        Self::new(scenario, &Avoidance::undecided(reason))
+    }
+
     /// Returns the report for a reader, as lines.
     #[must_use]
     pub fn to_text(&self) -> String {
-        let heading = format!("{}: {}\n", TerminalText(self.scenario), self.verdict);
+        let heading = format!(
+            "{}: {}\n",
+            TerminalText(&self.scenario),
+            self.verdict.name()
+        );
         let lines = [
             self.gap_line(),
             self.bound_line(),
@@ -93,7 +108,7 @@ impl<'a> AvoidReport<'a> {
             self.effort_line(),
             self.escape_is_best_for.clone(),
             self.multi_body_line(),
-            self.reason.map(ToString::to_string),
+            self.reason.as_ref().map(ToString::to_string),
             Some(format!("{} convex programs", self.programs)),
         ];
         let indented = lines
@@ -104,27 +119,28 @@ impl<'a> AvoidReport<'a> {
     }
 
     fn gap_line(&self) -> Option<String> {
-        let gap_m = (100.0 * self.escape_min_gap_m?).floor() / 100.0;
-        let optimality = match self.optimality {
-            Some(name) if name == Optimality::BestFound.name() => "best found",
-            Some(name) if name == Optimality::InitialGap.name() => {
-                "optimal: equals the initial gap"
-            }
-            _ => "optimal: equals the bound",
+        let gap = format_fixed_down(self.escape_min_gap_m?, 2);
+        let optimality = match self.optimality? {
+            Optimality::BestFound => "best found",
+            Optimality::InitialGap => "optimal: equals the initial gap",
+            Optimality::Bound => "optimal: equals the bound",
         };
-        Some(format!(
-            "smallest gap of the escape {gap_m:.2} m, {optimality}"
-        ))
+        Some(format!("smallest gap of the escape {gap} m, {optimality}"))
+    }
+
+    /// States how the bound of the gap was obtained.
+    #[must_use]
+    pub fn bound_proof(&self) -> &'static str {
+        match self.min_gap_bound_is_certified {
+            true => "proved",
+            false => "computed, without a certificate",
+        }
     }
 
     fn bound_line(&self) -> Option<String> {
-        let bound_m = (100.0 * self.min_gap_bound_m?).ceil() / 100.0;
-        let proof = if self.min_gap_bound_is_certified {
-            "proved"
-        } else {
-            "computed, without a certificate"
-        };
-        Some(format!("no driver keeps more than {bound_m:.2} m, {proof}"))
+        let bound = format_fixed_up(self.min_gap_bound_m?, 2);
+        let proof = self.bound_proof();
+        Some(format!("no driver keeps more than {bound} m, {proof}"))
     }
 
     fn emergency_brake_line(&self) -> Option<String> {
@@ -177,5 +193,77 @@ fn simulations(found_by: FoundBy) -> usize {
     match found_by {
         FoundBy::Programs => 0,
         FoundBy::ClosedLoop { simulations } => simulations,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::worst_case::{AvoidOptions, avoid};
+    use crumple_sim::scenario::{Driver, VehicleClass, VehicleSpec, built_in_scenario};
+
+    /// Asserts that a report is read back from its JSON, with the same text and JSON.
+    fn assert_read_back(report: &AvoidReport) {
+        let json = serde_json::to_string(report).unwrap();
+        let read: AvoidReport = serde_json::from_str(&json).expect(&json);
+        assert_eq!(&read, report);
+        assert_eq!(read.to_text(), report.to_text());
+        assert_eq!(serde_json::to_string(&read).unwrap(), json);
+    }
+
+    #[test]
+    fn reports_are_read_back_from_their_json() {
+        let options = AvoidOptions {
+            certify_bound: true,
+            ..AvoidOptions::default()
+        };
+        let avoidable = built_in_scenario("paper-1").unwrap();
+        let avoidance = avoid(&avoidable, options).unwrap();
+        assert_read_back(&AvoidReport::new(&avoidable, &avoidance));
+
+        // The leader brakes hard, close ahead of a vehicle that is much faster.
+        let unavoidable = avoidable
+            .edited(|spec| {
+                spec.vehicles = vec![
+                    VehicleSpec::new(
+                        VehicleClass::Light,
+                        10.0,
+                        0.0,
+                        spec.vehicles[0].driver.clone(),
+                    ),
+                    VehicleSpec::new(VehicleClass::Light, 0.0, 30.0, Driver::UnderTest),
+                ];
+            })
+            .unwrap();
+        let avoidance = avoid(&unavoidable, options).unwrap();
+        let report = AvoidReport::new(&unavoidable, &avoidance);
+        assert_eq!(report.verdict, AvoidanceClass::Unavoidable, "{report:?}");
+        assert_read_back(&report);
+    }
+
+    #[test]
+    fn undecided_reports_are_read_back_with_their_reasons() {
+        let scenario = built_in_scenario("paper-1").unwrap();
+        let too_close = |low_m| UndecidedReason::TooClose {
+            low_m,
+            high_m: 0.1 + 0.2,
+        };
+        let follower = UndecidedReason::Follower {
+            vehicle: 2,
+            driver: "idm".into(),
+        };
+        for reason in [too_close(None), too_close(Some(-1.0 / 3.0)), follower] {
+            let avoidance = Avoidance::undecided(reason.clone());
+            let report = AvoidReport::new(&scenario, &avoidance);
+            assert!(report.to_text().contains(&reason.to_string()));
+            assert_read_back(&report);
+        }
+        let error = AvoidError::TooLarge {
+            egos: 21,
+            steps: 10,
+        };
+        let report = AvoidReport::not_analysed(&scenario, &error);
+        assert!(report.to_text().contains(&error.to_string()));
+        assert_read_back(&report);
     }
 }

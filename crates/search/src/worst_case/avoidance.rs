@@ -1,6 +1,7 @@
 //! Result of an analysis of avoidability.
 
 use crumple_verify::Certificate;
+use serde::{Deserialize, Serialize};
 
 use super::escape::Escape;
 use super::reason::UndecidedReason;
@@ -23,8 +24,23 @@ pub struct Avoidance {
     pub optimality: Optimality,
 }
 
+impl Avoidance {
+    /// Returns an undecided result without any search.
+    pub(super) fn undecided(reason: UndecidedReason) -> Self {
+        Self {
+            verdict: AvoidanceVerdict::Undecided(reason),
+            best_min_gap_m: None,
+            min_gap_bound_m: None,
+            bound_certificate: None,
+            programs: 0,
+            optimality: Optimality::BestFound,
+        }
+    }
+}
+
 /// Proof that no profile has a larger smallest gap than the best one found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Optimality {
     /// No proof.
@@ -33,18 +49,6 @@ pub enum Optimality {
     Bound,
     /// The gap is within a centimetre of the smallest one at the start.
     InitialGap,
-}
-
-impl Optimality {
-    /// Returns the name used in results.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::BestFound => "best-found",
-            Self::Bound => "bound",
-            Self::InitialGap => "initial-gap",
-        }
-    }
 }
 
 /// Verdict on whether any driver could have avoided the collision.
@@ -58,14 +62,38 @@ pub enum AvoidanceVerdict {
     Undecided(UndecidedReason),
 }
 
-impl AvoidanceVerdict {
+/// Class of an [`AvoidanceVerdict`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum AvoidanceClass {
+    /// [`AvoidanceVerdict::Avoidable`].
+    Avoidable,
+    /// [`AvoidanceVerdict::Unavoidable`].
+    Unavoidable,
+    /// [`AvoidanceVerdict::Undecided`].
+    Undecided,
+}
+
+impl AvoidanceClass {
     /// Returns the name used in results.
     #[must_use]
-    pub fn name(&self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
-            Self::Avoidable(_) => "avoidable",
-            Self::Unavoidable(_) => "unavoidable",
-            Self::Undecided(_) => "undecided",
+            Self::Avoidable => "avoidable",
+            Self::Unavoidable => "unavoidable",
+            Self::Undecided => "undecided",
+        }
+    }
+}
+
+impl AvoidanceVerdict {
+    /// Returns the class of the verdict.
+    #[must_use]
+    pub fn class(&self) -> AvoidanceClass {
+        match self {
+            Self::Avoidable(_) => AvoidanceClass::Avoidable,
+            Self::Unavoidable(_) => AvoidanceClass::Unavoidable,
+            Self::Undecided(_) => AvoidanceClass::Undecided,
         }
     }
 

@@ -196,7 +196,7 @@ impl BehindEgos {
             driver => {
                 model.escape_caveat = Some(UndecidedReason::Follower {
                     vehicle: index,
-                    driver: driver.name(),
+                    driver: driver.name().into(),
                 });
             }
         }

@@ -1,5 +1,7 @@
 //! Escapes as scenarios, and their replay in the simulator.
 
+use serde::{Deserialize, Serialize};
+
 use super::avoidance_problem::AvoidanceProblem;
 use super::emergency_brake::EmergencyBrake;
 use super::firing_search::ModelEscape;
@@ -22,13 +24,23 @@ pub enum FoundBy {
     },
 }
 
+/// Method of the search that found an escape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EscapeMethod {
+    /// [`FoundBy::Programs`].
+    Programs,
+    /// [`FoundBy::ClosedLoop`].
+    ClosedLoop,
+}
+
 impl FoundBy {
-    /// Returns its name in results.
+    /// Returns the method of the search.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub fn method(self) -> EscapeMethod {
         match self {
-            Self::Programs => "programs",
-            Self::ClosedLoop { .. } => "closed-loop",
+            Self::Programs => EscapeMethod::Programs,
+            Self::ClosedLoop { .. } => EscapeMethod::ClosedLoop,
         }
     }
 

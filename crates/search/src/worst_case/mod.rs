@@ -47,12 +47,12 @@ pub use attack::{
 pub use attack_report::AttackReport;
 pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};
 pub use avoid_report::AvoidReport;
-pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
+pub use avoidance::{Avoidance, AvoidanceClass, AvoidanceVerdict, Optimality};
 pub use certificate::{build_certificate, covers_scenario};
 pub use closed_loop::SearchEffort;
 pub(crate) use descent::{StepSchedule, TrustRegionDescent, VariableBounds};
 pub use emergency_brake::EmergencyBrake;
-pub use escape::{Escape, FoundBy};
+pub use escape::{Escape, EscapeMethod, FoundBy};
 pub use reason::UndecidedReason;
 pub use sensor_attack::{
     FaultKindResult, MildestFault, SearchedSizes, SensorAttackResult, SensorFailure,

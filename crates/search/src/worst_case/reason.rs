@@ -1,9 +1,11 @@
 //! Reasons for an undecided result.
 
-use serde::Serialize;
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
 
 /// Reason why neither an escape nor a proof was found.
-#[derive(Debug, Clone, PartialEq, Serialize, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum UndecidedReason {
@@ -28,7 +30,7 @@ pub enum UndecidedReason {
         /// Index of the vehicle.
         vehicle: usize,
         /// Name of its driver.
-        driver: &'static str,
+        driver: Cow<'static, str>,
     },
     /// The scenario has no TOML form, whose hash a certificate contains.
     #[error("the scenario cannot be written as TOML: {why}")]
@@ -65,8 +67,8 @@ pub enum UndecidedReason {
     /// The lower and upper bounds are closer than the accuracy of the arithmetic.
     #[error("{}", describe_undecided_gap(*low_m, *high_m))]
     TooClose {
-        /// Smallest gap that was reached, in metres.
-        low_m: f64,
+        /// Smallest gap that was reached, in metres; `None` without an escape.
+        low_m: Option<f64>,
         /// Upper bound of the smallest gap, in metres.
         high_m: f64,
     },
@@ -79,6 +81,12 @@ pub enum UndecidedReason {
         /// Message of the checker.
         why: String,
     },
+    /// The scenario was not analysed.
+    #[error("{why}")]
+    NotAnalysed {
+        /// Message of the error.
+        why: String,
+    },
     /// The solver failed.
     #[error("the solver could not solve a program: {status}")]
     Solver {
@@ -87,8 +95,8 @@ pub enum UndecidedReason {
     },
 }
 
-fn describe_undecided_gap(low_m: f64, high_m: f64) -> String {
-    if low_m.is_finite() {
+fn describe_undecided_gap(low_m: Option<f64>, high_m: f64) -> String {
+    if let Some(low_m) = low_m {
         format!(
             "the largest possible smallest gap lies between {low_m:.6} and {high_m:.6} m, which neither shows nor \
              excludes an escape"

@@ -2,7 +2,7 @@
 
 use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict};
 use crate::assessment::claims::{Domain, Property};
-use crate::assessment::{AssessConfig, SuiteOutcome, SuiteTest};
+use crate::assessment::{AssessConfig, SuiteOutcome};
 use crumple_sim::engine::FailedControllerRuns;
 
 pub(super) fn passed<'a>(
@@ -43,12 +43,12 @@ fn check_suite_passed(inputs: &GateInputs<'_>, controller: &str, suite: &str) ->
     let run: Vec<_> = inputs
         .suite_outcomes(controller, suite)
         .into_iter()
-        .filter(|(_, outcome)| outcome.points > 0)
+        .filter(|outcome| outcome.tested.points > 0)
         .collect();
     let missed: Vec<_> = run
         .iter()
-        .filter(|(_, outcome)| outcome.passed != Some(true))
-        .map(|(test, _)| test.name.as_str())
+        .filter(|outcome| outcome.tested.outcome() != Some(true))
+        .map(|outcome| outcome.test.name.as_str())
         .collect();
     let count = missed.len() as f64;
     let verdict = match (run.len(), missed.as_slice()) {
@@ -68,11 +68,7 @@ fn check_suite_passed(inputs: &GateInputs<'_>, controller: &str, suite: &str) ->
 }
 
 impl GateInputs<'_> {
-    fn suite_outcomes<'s>(
-        &'s self,
-        controller: &'s str,
-        suite: &str,
-    ) -> Vec<(&'s SuiteTest, &'s SuiteOutcome)> {
+    fn suite_outcomes<'s>(&'s self, controller: &'s str, suite: &str) -> Vec<SuiteOutcome<'s>> {
         let mut planned = self.plan.suites.iter();
         let index = planned.position(|planned| planned.config_name == suite);
         match (index, &self.results.suites) {
@@ -82,12 +78,13 @@ impl GateInputs<'_> {
     }
 }
 
-fn note_unanswered_runs(outcomes: &[(&SuiteTest, &SuiteOutcome)]) -> String {
+fn note_unanswered_runs(outcomes: &[SuiteOutcome<'_>]) -> String {
     let mut unanswered = None;
-    for (_, outcome) in outcomes {
-        FailedControllerRuns::merge(&mut unanswered, outcome.total_unanswered());
+    for outcome in outcomes {
+        FailedControllerRuns::merge(&mut unanswered, outcome.tested.total_unanswered());
     }
-    let runs = outcomes.iter().map(|(_, outcome)| outcome.runs).sum();
+    let runs = outcomes.iter().map(|outcome| outcome.tested.points_run());
+    let runs = runs.sum::<usize>() as u64;
     unanswered.map_or(String::new(), |failed| {
         format!("; it {}", failed.describe(runs))
     })

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{ScenarioCases, scenario_cases};
-use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION, RoundedAvoidance};
+use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION, label_avoidance};
 use crate::assessment::case::{CaseResult, CaseVerdict, MotionRetention, run_cases};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{ContentId, Evidence, Property};
@@ -33,7 +33,7 @@ pub struct FileScenarios {
     #[serde(skip_serializing_if = "is_default")]
     pub without_vehicle_behind: u64,
     /// Parts of recordings that are no scenarios, with reasons.
-    pub left_out: Vec<String>,
+    pub dropped: Vec<String>,
     /// Indices of the scenarios shown in detail.
     #[serde(skip)]
     closest_first: Vec<usize>,
@@ -63,15 +63,15 @@ impl FileScenarios {
         Ok(Some(Self {
             scenarios,
             without_vehicle_behind,
-            left_out: plan.left_out.iter().map(ToString::to_string).collect(),
+            dropped: plan.dropped.iter().map(ToString::to_string).collect(),
             closest_first,
         }))
     }
 
-    fn describe_left_out(&self) -> String {
+    fn describe_dropped(&self) -> String {
         format!(
             "parts of the recordings that are no scenario: {}",
-            self.left_out.len()
+            self.dropped.len()
         )
     }
 
@@ -93,7 +93,7 @@ impl FileScenarios {
                 .iter()
                 .map(|case| ReportCell::with_mark(format_case(case), case.verdict.mark()));
             let avoidance = scenario.avoidance.as_ref();
-            let best = ReportCell::text(avoidance.map_or("–".to_owned(), RoundedAvoidance::label));
+            let best = ReportCell::text(avoidance.map_or("–".to_owned(), label_avoidance));
             table.push_row(
                 std::iter::once(ReportCell::text(&scenario.scenario))
                     .chain(cells)
@@ -247,7 +247,7 @@ impl ReportPart for FileScenarios {
         }
         out.paragraph(format!("{REGRET_EXPLANATION} {ESCAPES_NOTE}"));
         out.table(self.overview_table());
-        self.write_left_out(out);
+        self.write_dropped(out);
         self.write_details(out);
     }
 
@@ -274,13 +274,13 @@ impl ReportPart for FileScenarios {
 }
 
 impl FileScenarios {
-    fn write_left_out(&self, out: &mut ReportDocument) {
-        if self.left_out.is_empty() {
+    fn write_dropped(&self, out: &mut ReportDocument) {
+        if self.dropped.is_empty() {
             return;
         }
         let mut parts = ReportDocument::new();
-        parts.list(&self.left_out);
-        out.collapsible(self.describe_left_out(), parts);
+        parts.list(&self.dropped);
+        out.collapsible(self.describe_dropped(), parts);
     }
 
     /// Writes the scenarios with the smallest gaps, each with its tables and figures.

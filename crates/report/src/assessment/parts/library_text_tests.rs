@@ -4,18 +4,25 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::rate_certificates::COUNT_SEED_MASK;
 use super::*;
 use crate::assessment::{
-    AssessConfig, AssessmentReport, EvidenceCache, SearchConfig, SuiteConfig, assess,
+    AssessConfig, AssessmentReport, EvidenceCache, HarmConfig, RatesConfig, SearchConfig,
+    SuiteConfig, assess,
 };
 use crate::suite::render_text;
 use crumple_controllers::{Controllers, find_for_user};
 use crumple_core::observer::Quiet;
 use crumple_evidence::drives::DriveSet;
-use crumple_evidence::{CertificateReport, DriveReport, report_text};
+use crumple_evidence::{
+    CertificateReport, CountReport, DriveReport, RateConfig, RatePlan, report_text,
+};
+use crumple_measure::{RunReport, harm};
 use crumple_search::falsify::campaign::Campaign;
 use crumple_search::worst_case::{AvoidOptions, AvoidReport, avoid};
-use crumple_sim::engine::{NamedController, RunOptions};
+use crumple_sim::engine::{
+    AfterCollision, NamedController, RecordingLevel, Run, RunOptions, simulate,
+};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{
     Driver, LeadProfile, NoDriverFiles, RecordedMotion, RecordedSpeeds, Scenario, ScenarioSpec,
@@ -23,8 +30,9 @@ use crumple_sim::scenario::{
 };
 use crumple_spaces::built_in_space;
 use crumple_store::study::Study;
-use crumple_suites::TestSuite;
+use crumple_suites::{SuiteResult, TestSuite};
 use crumple_verify::Certificate;
+use serde_json::Value;
 
 /// Returns a configuration that asks for nothing.
 fn nothing(controllers: &[&str]) -> AssessConfig {
@@ -219,28 +227,33 @@ fn suites_are_those_of_the_suite_result() {
     let result =
         crumple_suites::run(&suite, &names.map(controller), EstimatorKind::default()).unwrap();
     let text = render_text(&result, |_, _| None);
-    let suites = report.results.suites.as_ref().unwrap();
-    let mut statements = vec![&suites.suites[0].parameter_source];
-    statements.extend(&suites.suites[0].not_modelled);
-    statements.extend(&suites.suites[0].omitted_parameters);
-    for outcome in suites.suites[0]
-        .tests
+    let json = serde_json::to_string(&result).unwrap();
+    let read: SuiteResult = serde_json::from_str(&json).unwrap();
+    assert_eq!(render_text(&read, |_, _| None), text);
+    assert_eq!(serde_json::to_string(&read).unwrap(), json);
+    let suites = serde_json::to_value(&report.results.suites).unwrap();
+    let reported = &suites["suites"][0];
+    let mut statements = vec![&reported["parameter_source"]];
+    statements.extend(reported["not_modelled"].as_array().unwrap());
+    statements.extend(reported["omitted_parameters"].as_array().unwrap());
+    let tests = reported["tests"].as_array().unwrap();
+    for outcome in tests
         .iter()
-        .flat_map(|test| &test.outcomes)
+        .flat_map(|test| test["outcomes"].as_array().unwrap())
     {
         // A test that passes at each stated point may fail within the tolerances, which the text states instead.
-        let fails_in_tolerance = outcome.verdict == "PASSED" && outcome.passed == Some(false);
-        statements.extend(Some(&outcome.verdict).filter(|_| !fails_in_tolerance));
-        statements.extend(&outcome.margins);
-        statements.extend(&outcome.worst_in_tolerance);
-        statements.extend(&outcome.warning);
-        let worst = outcome.worst.as_ref();
-        statements.extend(
-            worst
-                .into_iter()
-                .flat_map(|worst| [&worst.point, &worst.preventable]),
-        );
+        let fails_in_tolerance = outcome["verdict"] == "PASSED" && outcome["passed"] == false;
+        statements.extend(Some(&outcome["verdict"]).filter(|_| !fails_in_tolerance));
+        statements.extend(outcome["margins"].as_array().unwrap());
+        let worst = &outcome["worst"];
+        statements.extend([
+            &outcome["worst_in_tolerance"],
+            &outcome["warning"],
+            &worst["point"],
+            &worst["preventable"],
+        ]);
     }
+    let statements: Vec<&str> = statements.into_iter().filter_map(Value::as_str).collect();
     assert!(statements.len() > 6, "{statements:?}");
     for statement in statements {
         assert_states(&text, statement);
@@ -290,5 +303,163 @@ fn searches_are_those_of_the_campaign_summary() {
             assert_states(own[1], &format!("{impact_mps} m/s"));
             assert_states(&section, &format!("| {impact_mps} |"));
         }
+    }
+}
+
+/// Counts runs apart from the assessment, and returns the report of the count with its certificate.
+fn count(config: RateConfig) -> (CountReport, Certificate) {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = RatePlan::new(config).unwrap();
+    let result = plan.run(folder.path(), false, &Quiet).unwrap();
+    let certificate = result.certificate.clone().unwrap();
+    let path = folder.path().to_owned();
+    let report = CountReport::new(&plan, &result, path, PathBuf::from("certificate.json"));
+    (report, certificate)
+}
+
+/// Returns the number in a column of the row about a controller.
+fn count_in(section: &str, name: &str, column: &str) -> u64 {
+    let split = |row: &str| -> Vec<String> {
+        let cells = row.split('|');
+        cells
+            .map(|cell| cell.trim().trim_start_matches(['✓', '✗']).trim().to_owned())
+            .collect()
+    };
+    let mut rows = section.lines().filter(|line| line.starts_with('|'));
+    let header = split(rows.next().expect("a table"));
+    let row = rows.map(split).find(|row| row[1] == name).expect(name);
+    let index = header.iter().position(|cell| cell == column).expect(column);
+    row[index].parse().expect(column)
+}
+
+#[test]
+fn random_scenarios_are_those_of_the_count_report() {
+    const RUNS: u64 = 300;
+    let names = ["baseline", "idm"];
+    let config = AssessConfig {
+        distributions: Some(vec!["high-risk".to_owned()]),
+        draws: RUNS,
+        rates: RatesConfig {
+            runs: 0,
+            ..RatesConfig::default()
+        },
+        ..nothing(&names)
+    };
+    let section = section(&report(config, Path::new("")), "Collision rates");
+    let space = built_in_space("high-risk").unwrap();
+    let count_of = |name: &str| RateConfig {
+        estimator: EstimatorKind::default(),
+        ..RateConfig::new(controller(name), space.clone(), RUNS)
+    };
+    for name in names {
+        let (counted, _) = count(count_of(name));
+        let failures =
+            count_in(&section, name, "collisions") + count_in(&section, name, "ended by others");
+        assert!(failures > 0, "{section}");
+        let statement = format!("{failures} failures in {RUNS} runs");
+        assert_states(&counted.to_text(), &statement);
+    }
+    let (counted, _) = count(RateConfig {
+        second_controller: Some(controller("baseline")),
+        ..count_of("idm")
+    });
+    let [only_baseline, only_idm] = ["only baseline collides", "only this collides"]
+        .map(|column| count_in(&section, "idm", column));
+    assert_states(
+        &counted.to_text(),
+        &format!(
+            "{only_idm} runs in which only the first failed, {only_baseline} only the second, "
+        ),
+    );
+}
+
+#[test]
+fn rate_certificates_are_those_of_the_count_report() {
+    let rates = RatesConfig {
+        runs: 700,
+        confidence: 0.9,
+    };
+    let config = AssessConfig {
+        distributions: Some(vec!["high-risk".to_owned()]),
+        rates: rates.clone(),
+        ..nothing(&["baseline", "policy"])
+    };
+    let report = report(config, Path::new(""));
+    let proofs = section(&report, "Proofs");
+    let mut certificates = report.results.proofs.certificates.iter();
+    let reported = certificates
+        .find(|proof| proof.name == "rate-policy")
+        .unwrap();
+    let (counted, certificate) = count(RateConfig {
+        seed: COUNT_SEED_MASK,
+        estimator: EstimatorKind::default(),
+        confidence: rates.confidence,
+        ..RateConfig::new(
+            controller("policy"),
+            built_in_space("high-risk").unwrap(),
+            rates.runs,
+        )
+    });
+    let conclusion = reported.status.describe();
+    assert_states(
+        &counted.to_text(),
+        &format!("certificate.json: accepted: {conclusion}\n"),
+    );
+    assert_states(&proofs, &conclusion);
+    assert_eq!(reported.sha256, certificate.digest());
+    assert_states(&proofs, &reported.sha256);
+}
+
+#[test]
+fn harm_is_that_of_the_run_reports() {
+    const RUNS: u64 = 60;
+    let config = AssessConfig {
+        distributions: Some(vec!["high-risk".to_owned()]),
+        draws: RUNS,
+        rates: RatesConfig {
+            runs: 0,
+            ..RatesConfig::default()
+        },
+        harm: Some(HarmConfig {
+            emergencies_per_hour: 0.5,
+            ..HarmConfig::default()
+        }),
+        ..nothing(&["full-throttle", "idm"])
+    };
+    let report = report(config, Path::new(""));
+    let section = section(
+        &report,
+        "Collisions ahead avoided, collisions behind caused, and harm",
+    );
+    let space = built_in_space("high-risk").unwrap();
+    for name in ["full-throttle", "idm"] {
+        let named = controller(name);
+        let options = RunOptions::new(named.source.clone())
+            .with_estimator(EstimatorKind::default())
+            .with_after_collision(AfterCollision::Hold);
+        let mut total_harm = 0.0;
+        let mut ahead = 0;
+        for index in 0..RUNS {
+            let scenario = space.draw(0, index).unwrap();
+            let run = Run::new(&scenario, options.clone()).unwrap();
+            let result = simulate(&run, RecordingLevel::Summary);
+            total_harm += harm(&result.impacts, scenario.vehicles().len());
+            let text = RunReport::new(&run, &named, &result).to_text();
+            ahead += u64::from(text.contains("vehicle 1 hits vehicle 0"));
+        }
+        let shown = cells(&section, name);
+        let ahead_percent = 100.0 * ahead as f64 / RUNS as f64;
+        assert_eq!(
+            shown[1].split(' ').next(),
+            Some(&*format!("{ahead_percent:.2}")),
+            "{section}"
+        );
+        let harm_per_1000 = 1000.0 * total_harm / RUNS as f64;
+        assert!(
+            shown
+                .iter()
+                .any(|cell| cell.starts_with(&format!("{harm_per_1000:.3} ± "))),
+            "{name}: {harm_per_1000}: {section}"
+        );
     }
 }

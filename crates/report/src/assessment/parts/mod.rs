@@ -29,6 +29,7 @@ mod scenario_cases;
 mod search_campaign;
 mod share;
 mod space_descriptions;
+mod suite_json;
 mod suites;
 mod summary;
 mod usefulness;
@@ -60,7 +61,7 @@ pub use sampling::{ControllerSample, PairedCounts, SpaceSample, SpaceSamples};
 pub use scenario_cases::ScenarioCases;
 pub use share::PercentInterval;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
-pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
+pub use suites::{PlannedSuiteResult, SuiteFailure, SuiteOutcome, Suites};
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
 pub use usefulness::{ControllerUsefulness, SpaceBraking, UsefulnessReport};
 

@@ -4,7 +4,7 @@ use crumple_verify::Certificate;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::scenario_cases::LEVEL_NOTE;
+use super::scenario_cases::level_note;
 use super::{ScenarioCases, scenario_cases};
 use crate::assessment::avoidance::{CertifiedAvoidance, REGRET_EXPLANATION};
 use crate::assessment::case::{CaseResult, MotionRetention, run_cases};
@@ -130,9 +130,9 @@ impl ReportPart for PaperScenarios {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        [INTRODUCTION, REGRET_EXPLANATION, LEVEL_NOTE]
-            .iter()
-            .for_each(|&paragraph| out.paragraph(paragraph));
+        out.paragraph(INTRODUCTION);
+        out.paragraph(REGRET_EXPLANATION);
+        out.paragraph(level_note());
         self.scenarios
             .iter()
             .for_each(|scenario| self.write_scenario(scenario, out));

@@ -15,7 +15,7 @@ use crumple_evidence::{RateConfig, RatePlan, Rerun, shipped_kernels};
 use crumple_sim::engine::NamedController;
 
 /// Mask of the seed of counted runs, so that it differs from the seed of the reported samples.
-const COUNT_SEED_MASK: u64 = 0x5eed;
+pub(super) const COUNT_SEED_MASK: u64 = 0x5eed;
 
 /// A planned count: name of the certificate, scenario space, controller, and the other controller of a comparison.
 #[derive(Clone)]

@@ -4,7 +4,11 @@ use crumple_verify::Certificate;
 use maud::{Markup, html};
 use serde::Serialize;
 
-use crate::assessment::avoidance::CertifiedAvoidance;
+#[cfg(feature = "schema")]
+use crate::assessment::avoidance::AvoidanceJson;
+use crate::assessment::avoidance::{
+    CertifiedAvoidance, describe_avoidance, regret_m, serialize_rounded,
+};
 use crate::assessment::case::CaseResult;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Subject, UncomparedText,
@@ -13,11 +17,13 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_block::{CaptionedDrawing, ReportBlock};
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, CrumpleCommand, RoundedAvoidance};
+use crate::assessment::{AssessmentPlan, CrumpleCommand};
 use crate::draw::{
     MotionFigure, Svg, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side,
     vehicle_names,
 };
+use crumple_measure::DEFAULT_CLASS_WORDS;
+use crumple_search::worst_case::AvoidReport;
 use crumple_sim::scenario::Scenario;
 
 /// The results of every controller in one scenario.
@@ -31,7 +37,9 @@ pub struct ScenarioCases {
     /// Command that repeats the run, without the controller.
     pub replay: CrumpleCommand,
     /// Avoidability and best escape; absent if not computed.
-    pub avoidance: Option<RoundedAvoidance>,
+    #[serde(serialize_with = "serialize_rounded")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<AvoidanceJson>"))]
+    pub avoidance: Option<AvoidReport>,
     /// One case per controller.
     pub cases: Vec<CaseResult>,
     /// Scenario with the names of its vehicles, for figures.
@@ -93,9 +101,13 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
     }
 }
 
-pub(super) const LEVEL_NOTE: &str = "Level: only for followers whose emergency brake fires at a time to collision \
-    below 1.4 s, and whose acceleration before is within 0.3 m/s². As long as the leader brakes at most at the level, \
-    a plan avoids a collision on both sides.";
+/// Explains the column of the level.
+pub(super) fn level_note() -> String {
+    format!(
+        "Level: only for {DEFAULT_CLASS_WORDS}. As long as the leader brakes at most at the level, a plan avoids a \
+         collision on both sides."
+    )
+}
 
 impl ScenarioCases {
     pub(in crate::assessment) fn new(
@@ -127,18 +139,12 @@ impl ScenarioCases {
     }
 
     /// Adds the avoidance of the scenario, and each controller's regret.
-    pub(in crate::assessment) fn with_avoidance(
-        mut self,
-        CertifiedAvoidance {
-            avoidance,
-            certificate,
-        }: CertifiedAvoidance,
-    ) -> Self {
+    pub(in crate::assessment) fn with_avoidance(mut self, avoidance: CertifiedAvoidance) -> Self {
         for case in &mut self.cases {
-            case.regret_m = avoidance.regret_m(case);
+            case.regret_m = regret_m(&avoidance.report, case);
         }
-        self.avoidance = Some(avoidance);
-        self.certificate = certificate;
+        self.avoidance = Some(avoidance.report);
+        self.certificate = avoidance.certificate;
         self
     }
 
@@ -149,7 +155,7 @@ impl ScenarioCases {
     pub(in crate::assessment) fn describe_avoidance(&self) -> String {
         self.avoidance
             .as_ref()
-            .map(RoundedAvoidance::describe)
+            .map(describe_avoidance)
             .unwrap_or_default()
     }
 

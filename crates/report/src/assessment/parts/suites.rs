@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use super::distinct_failure::EscapeFile;
+use super::suite_json::SuiteJson;
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength,
@@ -26,7 +27,10 @@ use crate::suite::{
 use crumple_core::digest::sha256;
 use crumple_sim::engine::{FailedControllerRuns, NamedController};
 use crumple_sim::scenario::file;
-use crumple_suites::{ControllerResult, DISCLAIMER, FailedPoint, TestVerdict, run};
+use crumple_suites::{
+    ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict,
+    run,
+};
 
 const ANCHOR: &str = "suites";
 
@@ -51,96 +55,37 @@ pub(in crate::assessment) fn gather_suite(
     Ok(entry)
 }
 
-/// The findings of all suites.
+/// The results of all suites.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Suites {
     /// Disclaimer of the suites.
     pub statement: &'static str,
     /// One entry per suite.
-    pub suites: Vec<SuiteFindings>,
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<SuiteJson<'_>>"))]
+    pub suites: Vec<PlannedSuiteResult>,
     /// Failed scenarios by path, relative to the report folder.
     #[serde(skip)]
     files: BTreeMap<String, String>,
 }
 
-/// The findings of one suite.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct SuiteFindings {
+/// The result of one suite, and where the report has its failures.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlannedSuiteResult {
     /// Identifier of the suite.
-    pub suite: ContentId,
-    /// Document that the suite is modelled on, and its edition.
-    pub document: String,
-    /// Source of the parameters.
-    pub parameter_source: String,
-    /// Requirements of the document that the model cannot represent.
-    pub not_modelled: Vec<String>,
-    /// Omitted parameters, each with the reason.
-    pub omitted_parameters: Vec<String>,
-    /// Tested controllers, in the order of the outcomes of each test.
+    pub content_id: ContentId,
+    /// Tested controllers, in the order of the results of each test.
     pub controllers: Vec<String>,
-    /// Tests of the suite.
-    pub tests: Vec<SuiteTest>,
+    /// Result of the suite.
+    pub result: SuiteResult,
+    failures: Vec<FailuresOfTest>,
 }
 
-/// The findings of one test.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct SuiteTest {
-    /// Clause of the document.
-    pub clause: String,
-    /// Name of the test.
-    pub name: String,
-    /// Names of the requirements that the test verifies.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub requirement: Vec<String>,
-    /// True if the document states all parameters; otherwise crumple chose some.
-    pub is_as_stated: bool,
-    /// One entry per controller.
-    pub outcomes: Vec<SuiteOutcome>,
-}
+/// Failure of each controller with the highest impact speed, in the order of the controllers.
+type FailuresOfTest = Vec<Option<SuiteFailure>>;
 
-/// The outcome of a test for one controller.
+/// Scenario files and commands of a failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct SuiteOutcome {
-    /// True if the test passed; absent if it could not be run.
-    pub passed: Option<bool>,
-    /// Worst point of the grid, in words.
-    pub verdict: String,
-    /// Number of points of the grid.
-    pub points: u64,
-    /// Number of points that passed.
-    pub points_passed: u64,
-    /// Number of points that failed; the rest cannot be run.
-    pub points_failed: u64,
-    /// Failed points at which the controller gave no answer.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unanswered: Option<FailedControllerRuns>,
-    /// Number of simulated points, of the grid and of the search within ranges and tolerances.
-    pub runs: u64,
-    /// Number of simulated points that failed.
-    pub failures: u64,
-    /// Failed points of the search at which the controller gave no answer.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(alias = "unanswered_within")]
-    pub unanswered_in_tolerance: Option<FailedControllerRuns>,
-    /// Warning after which the driver brakes, in words; absent in tests without it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub warning: Option<String>,
-    /// Margins to failure, in words.
-    pub margins: Vec<String>,
-    /// Worst point found within the ranges and tolerances of the clause, in words; absent if the clause has none.
-    #[serde(alias = "within")]
-    pub worst_in_tolerance: Option<String>,
-    /// Failure with the highest impact speed.
-    pub worst: Option<SuiteFailure>,
-}
-
-/// A point that failed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SuiteFailure {
     /// Path of the scenario file, relative to the report folder.
     pub file: String,
@@ -148,22 +93,27 @@ pub struct SuiteFailure {
     pub sha256: String,
     /// Command that simulates the failure; absent for an external controller and for one that failed.
     pub replay: Option<CrumpleCommand>,
-    /// Parameters of the point.
-    pub point: String,
-    /// Description of the failure.
-    #[serde(alias = "what")]
-    pub description: String,
-    /// Preventability by reference drivers.
-    pub preventable: String,
     /// Escape, if the failure is avoidable.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape: Option<EscapeFile>,
+}
+
+/// The result of a test for one controller.
+#[derive(Debug, Clone, Copy)]
+pub struct SuiteOutcome<'s> {
+    /// Clause of the document.
+    pub clause: &'s ClauseResult,
+    /// Test of the clause.
+    pub test: &'s TestResult,
+    /// Result of the controller.
+    pub tested: &'s ControllerResult,
+    /// Failure with the highest impact speed.
+    pub failure: Option<&'s SuiteFailure>,
 }
 
 #[derive(Serialize, Deserialize)]
 pub(in crate::assessment) struct SuiteCacheEntry {
-    #[serde(alias = "found")]
-    findings: SuiteFindings,
+    result: SuiteResult,
+    failures: Vec<FailuresOfTest>,
     files: BTreeMap<String, String>,
 }
 
@@ -179,7 +129,14 @@ impl Suites {
         let mut files = BTreeMap::new();
         for planned in &plan.suites {
             let gathered = gather_suite(planned, work)?;
-            suites.push(gathered.findings);
+            let controllers = planned.controller_indices.iter();
+            let controllers = controllers.filter_map(|&index| plan.controllers.get(index));
+            suites.push(PlannedSuiteResult {
+                content_id: planned.content_id.clone(),
+                controllers: controllers.map(|tested| tested.name.clone()).collect(),
+                result: gathered.result,
+                failures: gathered.failures,
+            });
             files.extend(gathered.files);
         }
         Ok(Some(Self {
@@ -194,27 +151,50 @@ impl Suites {
         &'s self,
         suite_index: usize,
         controller: &'s str,
-    ) -> impl Iterator<Item = (&'s SuiteTest, &'s SuiteOutcome)> {
+    ) -> impl Iterator<Item = SuiteOutcome<'s>> {
         let suite = self.suites.get(suite_index).into_iter();
-        suite.flat_map(move |findings| findings.outcomes_of(controller))
+        suite.flat_map(move |suite| suite.outcomes_of(controller))
     }
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
-        self.suites.iter().flat_map(SuiteFindings::replay_commands)
+        self.suites
+            .iter()
+            .flat_map(PlannedSuiteResult::replay_commands)
     }
 }
 
-impl SuiteFindings {
-    /// Returns the tests with the outcomes of a controller.
+impl PlannedSuiteResult {
+    /// Iterates over the tests, each with the outcomes of all controllers.
+    pub fn tests(&self) -> impl Iterator<Item = Vec<SuiteOutcome<'_>>> {
+        self.result
+            .tests()
+            .zip(&self.failures)
+            .map(|((clause, test), failures)| {
+                let results = test.controllers.iter().zip(failures);
+                let outcomes = results.map(|(tested, failure)| SuiteOutcome {
+                    clause,
+                    test,
+                    tested,
+                    failure: failure.as_ref(),
+                });
+                outcomes.collect()
+            })
+    }
+
+    /// Iterates over the outcomes of a controller.
     pub(in crate::assessment) fn outcomes_of<'s>(
         &'s self,
-        controller: &str,
-    ) -> impl Iterator<Item = (&'s SuiteTest, &'s SuiteOutcome)> + use<'s> {
-        let mut controllers = self.controllers.iter();
-        let column = controllers.position(|name| name == controller);
-        self.tests
-            .iter()
-            .filter_map(move |test| Some((test, test.outcomes.get(column?)?)))
+        controller: &'s str,
+    ) -> impl Iterator<Item = SuiteOutcome<'s>> {
+        self.tests()
+            .flatten()
+            .filter(move |outcome| outcome.tested.controller == controller)
+    }
+}
+
+impl Serialize for PlannedSuiteResult {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        SuiteJson::new(self).serialize(serializer)
     }
 }
 
@@ -246,115 +226,70 @@ fn run_planned_suite(
 ) -> Result<SuiteCacheEntry, AssessError> {
     let result = run(&planned.suite, tested, plan.config.estimator)?;
     let mut files = BTreeMap::new();
-    let mut tests = Vec::new();
-    for (clause, test) in result.tests() {
-        let mut outcomes = Vec::new();
-        for (tested, controller) in test.controllers.iter().zip(tested) {
-            outcomes.push(SuiteOutcome::new(tested, controller, plan, &mut files)?);
+    let mut failures = Vec::new();
+    for (_, test) in result.tests() {
+        let mut failures_of_test = Vec::new();
+        for (result, controller) in test.controllers.iter().zip(tested) {
+            let failed = result.fastest_failure();
+            let failure =
+                failed.map(|failed| SuiteFailure::new(failed, controller, plan, &mut files));
+            failures_of_test.push(failure.transpose()?.flatten());
         }
-        tests.push(SuiteTest {
-            clause: clause.clause.clone(),
-            name: test.name.clone(),
-            requirement: test.requirement.clone(),
-            is_as_stated: test.is_as_stated,
-            outcomes,
-        });
+        failures.push(failures_of_test);
     }
-    let findings = SuiteFindings {
-        suite: planned.content_id.clone(),
-        document: format!("{}, {}", result.document, result.edition),
-        parameter_source: result.parameter_source,
-        not_modelled: result.not_modelled,
-        omitted_parameters: result.omitted_parameters,
-        controllers: tested
-            .iter()
-            .map(|controller| controller.name.clone())
-            .collect(),
-        tests,
-    };
-    Ok(SuiteCacheEntry { findings, files })
+    Ok(SuiteCacheEntry {
+        result,
+        failures,
+        files,
+    })
 }
 
-impl SuiteOutcome {
-    fn new(
-        tested: &ControllerResult,
-        controller: &NamedController,
-        plan: &AssessmentPlan,
-        files: &mut BTreeMap<String, String>,
-    ) -> Result<Self, AssessError> {
-        let is_refused = matches!(tested.verdict, TestVerdict::Refused { .. });
-        let within = tested.worst_in_tolerance.as_ref();
-        let worst = tested.failures().max_by(|a, b| {
-            let impact_mps = a.verdict.impact_speed_mps();
-            impact_mps.total_cmp(&b.verdict.impact_speed_mps())
-        });
-        let failed = tested.failed_points.len() as u64;
-        let passed = tested.passed_points as u64;
-        Ok(Self {
-            passed: (tested.is_passed() || !is_refused).then(|| tested.is_passed()),
-            verdict: describe_verdict(&tested.verdict),
-            points: tested.points as u64,
-            points_passed: passed,
-            points_failed: failed,
-            unanswered: tested.unanswered(),
-            runs: passed + failed + within.map_or(0, |within| within.points_run as u64),
-            failures: failed + within.map_or(0, |within| within.failures as u64),
-            unanswered_in_tolerance: within.and_then(|within| within.unanswered.clone()),
-            warning: tested.warning.map(describe_warning).map(str::to_owned),
-            margins: describe_min_margins(&tested.margins),
-            worst_in_tolerance: within.map(describe_worst_in_tolerance),
-            worst: worst
-                .map(|worst| SuiteFailure::new(worst, controller, plan, files))
-                .transpose()?,
-        })
-    }
-
-    /// Returns the number of runs without an answer, of grid and search, and the reason of the first.
-    pub(in crate::assessment) fn total_unanswered(&self) -> Option<FailedControllerRuns> {
-        let mut unanswered = self.unanswered.clone();
-        FailedControllerRuns::merge(&mut unanswered, self.unanswered_in_tolerance.clone());
-        unanswered
-    }
-
+impl SuiteOutcome<'_> {
     fn table_cell(&self) -> ReportCell {
+        let Self { tested, .. } = self;
         // The reason for no answer is below the table, because it may be long.
-        let unanswered = self
+        let unanswered = tested
             .total_unanswered()
             .map_or(0, |unanswered| unanswered.runs);
-        let collision = self.worst.as_ref().filter(|_| unanswered < self.failures);
-        let mut text = match (self.points, self.passed, collision) {
+        let fastest = tested.fastest_failure();
+        let collision = fastest.filter(|_| unanswered < tested.points_failed() as u64);
+        let passed = tested.passed_points;
+        let mut text = match (tested.points, tested.outcome(), collision) {
             (0, ..) => "not run".to_owned(),
-            (points, None, _) => format!(
-                "{} of {points}; the others cannot be run",
-                self.points_passed
-            ),
-            (points, Some(_), Some(worst)) => {
-                format!("{} of {points}; {}", self.points_passed, worst.description)
+            (points, None, _) => format!("{passed} of {points}; the others cannot be run"),
+            (points, Some(_), Some(fastest)) => {
+                format!(
+                    "{passed} of {points}; {}",
+                    describe_verdict(&fastest.verdict)
+                )
             }
-            (points, Some(_), None) => format!("{} of {points}", self.points_passed),
+            (points, Some(_), None) => format!("{passed} of {points}"),
         };
         if unanswered > 0 {
-            text += &format!("; no answer in {unanswered} of {} runs", self.runs);
+            let runs = tested.points_run();
+            text += &format!("; no answer in {unanswered} of {runs} runs");
         }
-        let mark = self.passed.map_or(CellMark::Neutral, |passed| {
-            if passed {
-                CellMark::Good
-            } else {
-                CellMark::Bad
-            }
-        });
+        let mark = match tested.outcome() {
+            None => CellMark::Neutral,
+            Some(true) => CellMark::Good,
+            Some(false) => CellMark::Bad,
+        };
         ReportCell::with_mark(text, mark)
     }
 }
 
 impl SuiteFailure {
+    /// Adds the files of a failure to `files`; `None` if the failure has no scenario.
     fn new(
         failed: &FailedPoint,
         controller: &NamedController,
         plan: &AssessmentPlan,
         files: &mut BTreeMap<String, String>,
-    ) -> Result<Self, CacheError> {
-        let text = file::to_toml(&failed.scenario).map_err(CacheError::encoding)?;
+    ) -> Result<Option<Self>, CacheError> {
+        let Some(scenario) = &failed.scenario else {
+            return Ok(None);
+        };
+        let text = file::to_toml(scenario).map_err(CacheError::encoding)?;
         let file = format!("counterexamples/suites/{}.toml", failed.scenario_name);
         let escape = match &failed.escape {
             None => None,
@@ -376,15 +311,12 @@ impl SuiteFailure {
             TestVerdict::Failed { .. } => collision_command(&file, failed, controller, plan),
             _ => None,
         };
-        Ok(Self {
+        Ok(Some(Self {
             file,
             sha256: text_sha256,
             replay,
-            point: failed.point.clone(),
-            description: describe_verdict(&failed.verdict),
-            preventable: describe_preventability(failed),
             escape,
-        })
+        }))
     }
 
     fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -407,7 +339,7 @@ fn collision_command(
     Some(simulate.with_args(["--expect", "collision"]))
 }
 
-impl SuiteFindings {
+impl PlannedSuiteResult {
     fn matrix(&self) -> ReportTable {
         let names = self.controllers.iter().map(String::as_str);
         let mut table = ReportTable::new(
@@ -416,7 +348,7 @@ impl SuiteFindings {
                 .chain(names)
                 .collect::<Vec<_>>(),
         );
-        for test in &self.tests {
+        for ((clause, test), outcomes) in self.result.tests().zip(self.tests()) {
             let chosen = if test.is_as_stated {
                 ""
             } else {
@@ -424,11 +356,11 @@ impl SuiteFindings {
             };
             let head = [
                 ReportCell::text(format!("{}{chosen}", test.name)),
-                ReportCell::text(&test.clause),
+                ReportCell::text(&clause.clause),
             ];
             table.push_row(
                 head.into_iter()
-                    .chain(test.outcomes.iter().map(SuiteOutcome::table_cell))
+                    .chain(outcomes.iter().map(SuiteOutcome::table_cell))
                     .collect(),
             );
         }
@@ -436,37 +368,34 @@ impl SuiteFindings {
     }
 
     fn details_table(&self) -> ReportTable {
-        let outcomes = self.tests.iter().flat_map(|test| {
-            self.controllers
-                .iter()
-                .zip(&test.outcomes)
-                .map(move |(controller, outcome)| (test, controller, outcome))
-        });
         ReportTable::from_items(
-            outcomes,
+            self.tests().flatten(),
             &[
-                ("test", &|(test, ..)| ReportCell::text(&test.name)),
-                ("controller", &|(_, controller, _)| {
-                    ReportCell::text(controller)
+                ("test", &|outcome| ReportCell::text(&outcome.test.name)),
+                ("controller", &|outcome| {
+                    ReportCell::text(&outcome.tested.controller)
                 }),
-                ("verdict", &|(.., outcome)| {
-                    let parts = [Some(&outcome.verdict), outcome.warning.as_ref()];
-                    let parts: Vec<&str> =
-                        parts.into_iter().flatten().map(String::as_str).collect();
-                    ReportCell::text(parts.join("; "))
+                ("verdict", &|outcome| {
+                    let verdict = describe_verdict(&outcome.tested.verdict);
+                    let warning = outcome.tested.warning.map(describe_warning);
+                    ReportCell::text(match warning {
+                        Some(warning) => format!("{verdict}; {warning}"),
+                        None => verdict,
+                    })
                 }),
-                ("margins", &|(.., outcome)| {
-                    let margins = outcome.margins.join("; ");
+                ("margins", &|outcome| {
+                    let margins = describe_min_margins(&outcome.tested.margins).join("; ");
                     text_or_dash(Some(margins).filter(|margins| !margins.is_empty()))
                 }),
-                ("worst within tolerances", &|(.., outcome)| {
-                    text_or_dash(outcome.worst_in_tolerance.clone())
+                ("worst within tolerances", &|outcome| {
+                    let worst = outcome.tested.worst_in_tolerance.as_ref();
+                    text_or_dash(worst.map(describe_worst_in_tolerance))
                 }),
-                ("preventable by", &|(.., outcome)| {
-                    let worst = outcome.worst.as_ref();
-                    text_or_dash(
-                        worst.map(|worst| format!("{}: {}", worst.point, worst.preventable)),
-                    )
+                ("preventable by", &|outcome| {
+                    let worst = outcome.tested.fastest_failure();
+                    text_or_dash(worst.map(|worst| {
+                        format!("{}: {}", worst.point, describe_preventability(worst))
+                    }))
                 }),
             ],
         )
@@ -475,37 +404,35 @@ impl SuiteFindings {
     fn unanswered_notes(&self) -> Vec<String> {
         self.controllers
             .iter()
-            .enumerate()
-            .filter_map(|(column, controller)| self.unanswered_note(column, controller))
+            .filter_map(|controller| self.unanswered_note(controller))
             .collect()
     }
 
-    fn unanswered_note(&self, column: usize, controller: &str) -> Option<String> {
+    fn unanswered_note(&self, controller: &str) -> Option<String> {
         let mut unanswered = None;
         let mut runs = 0;
-        for outcome in self
-            .tests
-            .iter()
-            .filter_map(|test| test.outcomes.get(column))
-        {
-            FailedControllerRuns::merge(&mut unanswered, outcome.total_unanswered());
-            runs += outcome.runs;
+        for outcome in self.outcomes_of(controller) {
+            FailedControllerRuns::merge(&mut unanswered, outcome.tested.total_unanswered());
+            runs += outcome.tested.points_run() as u64;
         }
         Some(note_unanswered(controller, &unanswered?, runs))
     }
 
     fn describe(&self) -> String {
+        let SuiteResult {
+            document,
+            edition,
+            parameter_source,
+            ..
+        } = &self.result;
         format!(
-            "Modelled on {}. Source of the parameters: {} {DISCLAIMER}",
-            self.document, self.parameter_source
+            "Modelled on {document}, {edition}. Source of the parameters: {parameter_source} {DISCLAIMER}"
         )
     }
 
     fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
-        let outcomes = self.tests.iter().flat_map(|test| &test.outcomes);
-        outcomes
-            .filter_map(|outcome| outcome.worst.as_ref())
-            .flat_map(SuiteFailure::commands)
+        let failures = self.failures.iter().flatten().flatten();
+        failures.flat_map(SuiteFailure::commands)
     }
 }
 
@@ -531,13 +458,13 @@ impl ReportPart for Suites {
 
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(format!("{INTRODUCTION} {}", self.statement));
-        self.suites.iter().for_each(|findings| findings.write(out));
+        self.suites.iter().for_each(|suite| suite.write(out));
     }
 
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let suites = plan.suites.iter().zip(&self.suites);
         suites
-            .flat_map(|(planned, findings)| findings.evidence(plan, planned))
+            .flat_map(|(planned, suite)| suite.evidence(plan, planned))
             .collect()
     }
 
@@ -556,9 +483,9 @@ impl ReportPart for Suites {
     }
 }
 
-impl SuiteFindings {
+impl PlannedSuiteResult {
     fn write(&self, out: &mut ReportDocument) {
-        out.heading(&self.suite.name);
+        out.heading(&self.content_id.name);
         out.paragraph(self.describe());
         out.table(self.matrix());
         for note in self.unanswered_notes() {
@@ -569,7 +496,8 @@ impl SuiteFindings {
             self.details_table(),
         );
         let mut omissions = ReportDocument::new();
-        omissions.list(self.not_modelled.iter().chain(&self.omitted_parameters));
+        let omitted = &self.result.omitted_parameters;
+        omissions.list(self.result.not_modelled.iter().chain(omitted));
         out.collapsible("not modelled, or omitted", omissions);
         let commands = self.replay_commands().map(ToString::to_string);
         out.push(ReportBlock::Commands(commands.collect()));
@@ -577,24 +505,20 @@ impl SuiteFindings {
 
     fn evidence(&self, plan: &AssessmentPlan, planned: &PlannedSuite) -> Vec<Evidence> {
         let claims = claims(plan, planned);
-        planned
-            .controller_indices
-            .iter()
-            .enumerate()
-            .filter_map(|(column, &index)| {
+        let tested = planned.controller_indices.iter().zip(&self.controllers);
+        tested
+            .filter_map(|(&index, controller)| {
                 let claim = claims.get(index)?.clone()?;
-                Some(self.evidence_for(claim, &self.counts(column)))
+                Some(self.evidence_for(claim, &self.counts(controller)))
             })
             .collect()
     }
 
     /// Adds up the outcomes of all tests for one controller.
-    fn counts(&self, column: usize) -> SuiteCounts {
+    fn counts(&self, controller: &str) -> SuiteCounts {
         let mut counts = SuiteCounts::default();
-        for test in &self.tests {
-            if let Some(outcome) = test.outcomes.get(column) {
-                counts.add(outcome);
-            }
+        for outcome in self.outcomes_of(controller) {
+            counts.add(outcome.tested);
         }
         counts
     }
@@ -633,13 +557,14 @@ struct SuiteCounts {
 }
 
 impl SuiteCounts {
-    fn add(&mut self, outcome: &SuiteOutcome) {
-        self.points += outcome.points_failed + outcome.points_passed;
-        self.points_failed += outcome.points_failed;
-        self.runs += outcome.runs;
-        self.failures += outcome.failures;
-        FailedControllerRuns::merge(&mut self.unanswered, outcome.unanswered.clone());
-        let in_tolerance = outcome.unanswered_in_tolerance.clone();
+    fn add(&mut self, tested: &ControllerResult) {
+        let failed = tested.failed_points.len();
+        self.points += (failed + tested.passed_points) as u64;
+        self.points_failed += failed as u64;
+        self.runs += tested.points_run() as u64;
+        self.failures += tested.points_failed() as u64;
+        FailedControllerRuns::merge(&mut self.unanswered, tested.unanswered());
+        let in_tolerance = tested.unanswered_in_tolerance();
         FailedControllerRuns::merge(&mut self.unanswered_in_tolerance, in_tolerance);
     }
 

@@ -130,16 +130,26 @@ fn unknown_setting(setting: String) -> InvalidSetting {
     }
 }
 
-impl TwoSidedSettings {
-    /// Names of the settings that bound errors of observation.
-    pub const ERROR_NAMES: [&'static str; 5] = [
-        "gap-error",
-        "speed-error",
-        "ahead-speed-error",
-        "behind-gap-error",
-        "behind-speed-error",
-    ];
+/// Names of the settings that bound errors of observation.
+const ERROR_NAMES: [&str; 5] = [
+    "gap-error",
+    "speed-error",
+    "ahead-speed-error",
+    "behind-gap-error",
+    "behind-speed-error",
+];
 
+/// Returns the first setting of an error of observation.
+fn name_of_error_setting(text: &str) -> Option<&'static str> {
+    let given = text
+        .split(',')
+        .filter_map(|setting| setting.split('=').next());
+    given
+        .flat_map(|given| ERROR_NAMES.into_iter().find(|name| *name == given))
+        .next()
+}
+
+impl TwoSidedSettings {
     /// Parses the text between `shield2` and the colon: settings, each after a comma. If any error bound is given, the
     /// others are 0.
     ///
@@ -168,6 +178,42 @@ impl TwoSidedSettings {
             });
         }
         Ok(settings)
+    }
+
+    /// Parses settings of the level, the class and the errors, without a comma before the first, for a certificate.
+    ///
+    /// # Errors
+    /// As for [`Self::parse`]; [`InvalidSetting::NoEffect`] for `raise`.
+    pub fn parse_for_certificate(text: &str) -> Result<Self, InvalidSetting> {
+        let comma = if text.is_empty() { "" } else { "," };
+        let settings = Self::parse(&format!("{comma}{text}"))?;
+        match settings.raises {
+            true => Err(InvalidSetting::NoEffect { name: "raise" }),
+            false => Ok(settings),
+        }
+    }
+
+    /// Parses settings of the follower's class, without a comma before the first, for the measurement of levels at the
+    /// true state.
+    ///
+    /// # Errors
+    /// As for [`Self::parse_for_certificate`]; [`InvalidSetting::NoEffect`] for `level` and for errors of observation.
+    ///
+    /// ```
+    /// use crumple_sim::control::TwoSidedSettings;
+    ///
+    /// assert_eq!(TwoSidedSettings::parse_for_levels("ttc=2").unwrap().ttc_s, Some(2.0));
+    /// assert!(TwoSidedSettings::parse_for_levels("level=3").is_err());
+    /// ```
+    pub fn parse_for_levels(text: &str) -> Result<Self, InvalidSetting> {
+        let settings = Self::parse_for_certificate(text)?;
+        if settings.level_mps2.is_some() {
+            return Err(InvalidSetting::NoEffect { name: "level" });
+        }
+        match name_of_error_setting(text) {
+            Some(name) => Err(InvalidSetting::NoEffect { name }),
+            None => Ok(settings),
+        }
     }
 
     /// Returns the text that [`Self::parse`] parses to this: the settings, each after a comma.
