@@ -40,7 +40,7 @@ of Holm).
 
 --spec also takes these names (docs/glossary.md defines the terms):
   - `no braking without cause`: no unnecessary braking
-  - `imposed braking at most 4 m/s2`: the induced braking of the follower is at most 4 m/s²
+  - `imposed braking at most 4 m/s2`: the follower brakes by at most 4 m/s²
   - `no amplification`: if all vehicles have the same initial speed, the vehicle's largest change of speed is at most \
 that of its leader
 With --against, a failure has two runs. Its robustness is max(r of the first run, -r of the other): negative if only \
