@@ -178,7 +178,7 @@ impl SuiteCommand {
     }
 }
 
-fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
+pub(super) fn find_suite(path: &Path) -> Result<TestSuite, CliError> {
     if let Some(suite) = path.to_str().and_then(TestSuite::shipped) {
         return Ok(suite?);
     }

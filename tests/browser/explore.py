@@ -167,10 +167,17 @@ def drive(folder, crumple, tools, screenshots):
 
     search = ["falsify", "--controller", "match-leader", "--space", "high-risk"]
     run(*search, "--budget", "300", "--out", "found")
+    braking_events = pathlib.Path(__file__).parent.parent / "braking_events.py"
+    events = subprocess.run([sys.executable, braking_events, "6"], check=True, capture_output=True).stdout
+    (folder / "events.csv").write_bytes(events)
     arguments = [
         "explore",
         "paper-1",
         "found",
+        "--recording",
+        "events.csv",
+        "--suite",
+        "euro-ncap-2023",
         "--controller",
         "baseline",
         "--format",
@@ -185,6 +192,8 @@ def drive(folder, crumple, tools, screenshots):
         measure(browser, address)
         draw(browser)
         find_and_download(browser, address, folder, run)
+        replay(browser, address)
+        open_margin(browser, address)
         if screenshots:
             show(browser, address, pathlib.Path(screenshots))
     finally:
@@ -243,7 +252,7 @@ def find_and_download(browser, address, folder, run):
     browser.click("#distinct a")
     browser.wait("its scenario", "return location.search === '?campaign=0&counterexample=0'")
     shown = final_verdict(browser)
-    assert shown["verdict"] == "collision" and shown["summary"].startswith("match-leader"), shown
+    assert shown["verdict"] == "collision" and shown["words"].startswith("match-leader"), shown
     browser.drag("#slide-speed-1", [(0.5, 0.5), (0.55, 0.5)])
     shown = final_verdict(browser)
     browser.script("document.getElementById('name').value = '../dragged: \"a failure\"'")
@@ -263,17 +272,58 @@ def find_and_download(browser, address, folder, run):
     print(f"downloaded and repeated: collision at {collision} s in both")
 
 
+def compare_on_a_drive(browser):
+    """Adds a controller that brakes on the fifth recorded drive, and opens this drive."""
+    browser.click("#chosen input[value='idm']")
+    browser.wait("counts of both controllers", "return document.querySelectorAll('.commanded div').length === 12")
+    browser.click("[data-drive='4']")
+    browser.wait("the fifth drive", "return document.getElementById('drive-name').textContent === 'Drive 5'")
+
+
+def replay(browser, address):
+    """Checks that recorded drives show what a controller would command, and that a braking can be seen closely."""
+    browser.open(address + "recordings")
+    browser.wait("all counts", "return document.querySelectorAll('.commanded div').length === 6")
+    compare_on_a_drive(browser)
+    browser.click("#brakings [data-from]")
+    browser.wait("the whole drive to return to", "return !document.getElementById('whole').hidden")
+    legend = browser.script("return document.getElementById('figures').textContent")
+    assert "commanded by baseline" in legend and "commanded by idm" in legend, legend
+
+
+def open_margin(browser, address):
+    """Checks that the end of a margin of a suite opens the simulation that fails."""
+    browser.open(address + "suites")
+    link = browser.wait(
+        "a margin",
+        "const a = document.querySelector(\"#tests a[href*='fails_at=']\"); return a && a.getAttribute('href')",
+    )
+    browser.click(f"#tests a[href='{link}']")
+    browser.wait("its scenario", "return location.search.startsWith('?suite=0')")
+    shown = final_verdict(browser)
+    about = browser.script("return document.getElementById('about').textContent")
+    assert "does not pass" in about and "no certification" in about, about
+    assert shown["verdict"] == "collision", (link, shown)
+
+
 def show(browser, address, folder):
     """Saves images of each view, narrow and wide, light and dark."""
     folder.mkdir(parents=True, exist_ok=True)
-    views = {"scenario": "", "campaigns": "campaigns"}
+    views = {"scenario": "", "campaigns": "campaigns", "recordings": "recordings", "suites": "suites"}
+    ready = {
+        "campaigns": "return document.querySelectorAll('#maps a .cell').length > 5",
+        "recordings": "return document.querySelectorAll('.commanded div').length === 6",
+        "suites": "return document.querySelector('#tests a')",
+    }
     for name, path in views.items():
         for width in (400, 1400):
             for dark in (False, True):
                 browser.set_view(width, 1000, dark)
                 browser.open(address + path)
                 if path:
-                    browser.wait("a map", "return document.querySelectorAll('#maps a .cell').length > 5")
+                    browser.wait(path, ready[name])
+                    if name == "recordings":
+                        compare_on_a_drive(browser)
                 else:
                     final_verdict(browser)
                 height = browser.script("return document.documentElement.scrollHeight")

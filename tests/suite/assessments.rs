@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crate::command_line::{run_ok, temp_folder};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
@@ -611,6 +612,50 @@ fn a_fresh_report_passes_its_own_checks() {
             .collect()
     };
     assert_eq!(words(&repeated), words(&evidence));
+}
+
+/// A program without listed files is not copied into the report, which says what to copy. With it, the configuration in
+/// the folder repeats the report, also if the program lay in another folder.
+#[test]
+fn a_report_about_a_program_is_repeated_after_a_copy() {
+    let folder = temp_folder();
+    let [programs, report] = ["programs", "report"].map(|name| folder.path().join(name));
+    fs::create_dir(&programs).expect("writable");
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers");
+    fs::copy(examples.join("follower.py"), programs.join("follower.py")).expect("copied");
+    let text = fs::read_to_string(examples.join("follower.toml")).expect("readable");
+    let without_files: String = text
+        .split_inclusive('\n')
+        .filter(|line| !line.starts_with("files"))
+        .collect();
+    fs::write(programs.join("own.toml"), without_files).expect("written");
+    let config = "version = 1\ncontrollers = [\"idm\", \"programs/own.toml\"]\npaper = false\n\
+                  distributions = [\"traffic\"]\ndraws = 2\neveryday_draws = 0\ncertificates = []\n\
+                  rates = { runs = 10, confidence = 0.99 }\nsearch = { spaces = [], budget = 1 }\n\
+                  [[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"programs/own.toml\"\n\
+                  than = \"idm\"\nspace = \"traffic\"\n";
+    fs::write(folder.path().join("a.toml"), config).expect("written");
+    run_ok(folder.path(), "assess a.toml --out report");
+    let markdown = fs::read_to_string(report.join("assessment.md")).expect("written");
+    assert!(
+        markdown.contains("first copy into this folder, each with its files: `programs/own.toml`"),
+        "{markdown}"
+    );
+    for name in ["own.toml", "follower.py"] {
+        fs::copy(programs.join(name), report.join(name)).expect("copied");
+    }
+    let repeat = commands_in(&markdown, "crumple assess assessment.toml");
+    let command = repeat.first().expect("the report says how to repeat it");
+    run_ok(&report, command.trim_start_matches("crumple "));
+    let repeated = fs::read_to_string(folder.path().join("repeated/assessment.md"));
+    let claims = |markdown: &str| {
+        let (_, rest) = markdown.split_once("| claim |").expect("a table");
+        rest.split_once("\n\n")
+            .expect("its end")
+            .0
+            .replace("programs/", "")
+    };
+    assert_eq!(claims(&repeated.expect("written")), claims(&markdown));
 }
 
 /// Each form of a report states its identity, each certificate has one hash, and captions have no empty part.

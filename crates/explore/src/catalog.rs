@@ -1,9 +1,11 @@
-//! Catalog of the scenarios, controllers and campaigns that requests may name.
+//! Catalog of the scenarios, controllers, campaigns, recordings and suites that requests may name.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use crumple_controllers::Controllers;
+use crumple_exchange::recording::RecordingError;
+use crumple_exchange::recording::map::RecordingMap;
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::NamedController;
@@ -12,9 +14,12 @@ use crumple_sim::scenario::{
     Driver, FileDriver, InvalidField, Scenario, ScenarioSpec, built_in_scenario,
     built_in_scenario_names,
 };
+use crumple_suites::TestSuite;
 
 use crate::campaign::CatalogCampaign;
 use crate::error::RequestError;
+use crate::recording::CatalogRecording;
+use crate::suite::SuiteResults;
 
 /// Configuration of the application.
 #[derive(Debug, Default)]
@@ -27,6 +32,12 @@ pub struct ExploreConfig {
     pub estimator: EstimatorKind,
     /// Folders of complete campaigns.
     pub campaigns: Vec<PathBuf>,
+    /// Recordings.
+    pub recordings: Vec<PathBuf>,
+    /// Meanings of the columns of the recordings; none for the formats that crumple recognises.
+    pub recording_map: Option<RecordingMap>,
+    /// Suites of tests.
+    pub suites: Vec<CatalogSuite>,
     /// Opens the drivers that scenarios of campaigns name as files.
     pub controllers_of_files: Controllers,
 }
@@ -39,6 +50,9 @@ pub(crate) struct Catalog {
     pub(crate) selected_controllers: usize,
     pub(crate) estimator: EstimatorKind,
     pub(crate) campaigns: Vec<CatalogCampaign>,
+    pub(crate) recordings: Vec<CatalogRecording>,
+    pub(crate) suites: Vec<CatalogSuite>,
+    pub(crate) suite_results: SuiteResults,
     /// Drivers from files in opened scenarios of campaigns.
     opened_drivers: Mutex<Vec<FileDriver>>,
 }
@@ -52,6 +66,15 @@ pub struct CatalogScenario {
     pub name: String,
     /// The scenario.
     pub scenario: Scenario,
+}
+
+/// Suite with its name in lists.
+#[derive(Debug, Clone)]
+pub struct CatalogSuite {
+    /// Built-in name, or path as given.
+    pub name: String,
+    /// The suite.
+    pub suite: TestSuite,
 }
 
 /// Reason why a configuration is invalid.
@@ -73,6 +96,9 @@ pub enum ExploreConfigError {
     /// A campaign cannot be read.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
+    /// A recording cannot be read.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
 }
 
 impl ExploreConfig {
@@ -85,18 +111,17 @@ impl ExploreConfig {
             mut controllers,
             estimator,
             campaigns,
+            recordings,
+            recording_map,
+            suites,
             controllers_of_files,
         } = self;
         check_compared_controllers(&controllers)?;
-        let campaigns = campaigns
-            .into_iter()
-            .map(|folder| {
-                Ok(CatalogCampaign {
-                    name: folder.display().to_string(),
-                    reader: CampaignReader::open(&folder, controllers_of_files)?,
-                })
-            })
-            .collect::<Result<Vec<_>, CampaignError>>()?;
+        let campaigns = open_campaigns(campaigns, controllers_of_files)?;
+        let recordings = recordings
+            .iter()
+            .map(|path| CatalogRecording::read(path, recording_map.as_ref()))
+            .collect::<Result<Vec<_>, RecordingError>>()?;
         if controllers.is_empty() {
             controllers.extend(
                 BuiltInController::from_name(DEFAULT_CONTROLLER).map(NamedController::from),
@@ -105,16 +130,31 @@ impl ExploreConfig {
         let selected_controllers = controllers.len();
         add_built_in_scenarios(&mut scenarios);
         add_built_in_controllers(&mut controllers, &campaigns);
-        let opened_drivers = Mutex::default();
         Ok(Catalog {
             scenarios,
             controllers,
             selected_controllers,
             estimator,
             campaigns,
-            opened_drivers,
+            recordings,
+            suites,
+            suite_results: SuiteResults::default(),
+            opened_drivers: Mutex::default(),
         })
     }
+}
+
+fn open_campaigns(
+    folders: Vec<PathBuf>,
+    controllers_of_files: Controllers,
+) -> Result<Vec<CatalogCampaign>, CampaignError> {
+    let open = |folder: PathBuf| {
+        Ok(CatalogCampaign {
+            name: folder.display().to_string(),
+            reader: CampaignReader::open(&folder, controllers_of_files)?,
+        })
+    };
+    folders.into_iter().map(open).collect()
 }
 
 /// Checks that there are few enough controllers to compare, and that their names differ.

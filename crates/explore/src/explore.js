@@ -236,6 +236,20 @@
     return { from_s, accel_mps2 };
   };
 
+  const chosenControllers = () => [...byId('chosen').querySelectorAll('input:checked')].map((box) => box.value);
+
+  // Calls an action when the selected controllers change. At least one, and at most as many as fit, are selected.
+  const onControllersChanged = (action) => {
+    byId('chosen').addEventListener('change', (event) => {
+      const count = chosenControllers().length;
+      if (count < 1 || count > start.most_controllers) event.target.checked = !event.target.checked;
+      else action();
+    });
+  };
+
+  const showLines = (id, lines) =>
+    byId(id).replaceChildren(...lines.map((line) => element('p', { class: 'told' }, line)));
+
   const scenarioPage = () => {
     // Number of vehicles with sliders, so that the list stays clear.
     const MAX_SLIDERS = 8;
@@ -244,7 +258,6 @@
     let edits = { vehicles: new Map() };
     const query = new URLSearchParams(location.search);
 
-    const chosen = () => [...byId('chosen').querySelectorAll('input:checked')].map((box) => box.value);
     const edited = () => ({
       name: byId('name').value,
       friction: edits.friction,
@@ -252,6 +265,7 @@
       vehicles: [...edits.vehicles].map(([vehicle, changes]) => ({ vehicle, ...changes })),
     });
     const request = () => ({ scenario: opened.scenario, edits: edited() });
+    const testDriver = () => opened.test_driver ?? null;
 
     let announcement = 0;
     const show = (drawn) => {
@@ -285,9 +299,10 @@
         show(
           await ask('run', {
             ...request(),
-            controllers: chosen(),
+            controllers: chosenControllers(),
             estimator: byId('estimator').value,
             narrow: narrow.matches,
+            test_driver: testDriver(),
           }),
         );
         showError(null);
@@ -369,9 +384,9 @@
       lead.show(sliders.lead, sliders.duration_s);
       changed();
     };
-    const open = async (what) => {
+    const open = async (what, call = 'open') => {
       try {
-        opened = await ask('open', what);
+        opened = await ask(call, what);
         if (opened.controller) {
           byId('chosen')
             .querySelectorAll('input')
@@ -398,12 +413,7 @@
       byId('saved').textContent = '';
     });
     narrow.addEventListener('change', run);
-    byId('chosen').addEventListener('change', (event) => {
-      const count = chosen().length;
-      // At least one controller, and at most as many as fit, are selected.
-      if (count < 1 || count > start.most_controllers) event.target.checked = !event.target.checked;
-      else run();
-    });
+    onControllersChanged(run);
     byId('avoid').addEventListener('click', async () => {
       const [button, place] = [byId('avoid'), byId('avoided')];
       button.disabled = true;
@@ -423,8 +433,9 @@
       try {
         const saved = await ask('save', {
           edited: request(),
-          controller: chosen()[0],
+          controller: chosenControllers()[0],
           estimator: byId('estimator').value,
+          test_driver: testDriver(),
         });
         const address = URL.createObjectURL(new Blob([saved.toml], { type: 'application/toml' }));
         element('a', { href: address, download: saved.file_name }).click();
@@ -437,10 +448,18 @@
     byId('download').addEventListener('click', download);
     byId('controls').addEventListener('submit', (event) => event.preventDefault());
 
-    const keys = ['scenario', 'campaign', 'counterexample', 'evaluation'].filter((key) =>
-      /^\d+$/.test(query.get(key) ?? ''),
-    );
-    open(keys.length ? Object.fromEntries(keys.map((key) => [key, Number(query.get(key))])) : { scenario: 0 });
+    const numbers = (keys) => {
+      const given = keys.filter((key) => /^\d+$/.test(query.get(key) ?? ''));
+      return Object.fromEntries(given.map((key) => [key, Number(query.get(key))]));
+    };
+    if (query.has('suite')) {
+      const point = numbers(['failure', 'passes_at', 'fails_at']);
+      const test = { ...numbers(['suite', 'test', 'controller']), estimator: query.get('estimator') ?? undefined };
+      open({ ...test, point: Object.keys(point).length ? point : 'first' }, 'open-test');
+      return;
+    }
+    const what = numbers(['scenario', 'campaign', 'counterexample', 'evaluation']);
+    open(Object.keys(what).length ? what : { scenario: 0 });
   };
 
   const campaignsPage = () => {
@@ -485,7 +504,7 @@
         byId('up').value = state.y_parameter;
         setOptions('method', state.methods, [['', 'every method']]);
         setOptions('kind', state.kinds, [['', 'every kind']]);
-        byId('words').replaceChildren(...state.summaries.map((line) => element('p', { class: 'told' }, line)));
+        showLines('words', state.summaries);
         ['best', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
       } catch (error) {
         showError(error);
@@ -503,5 +522,117 @@
     look();
   };
 
-  ({ scenario: scenarioPage, campaigns: campaignsPage })[document.body.dataset.page]();
+  const recordingsPage = () => {
+    if (!byId('recording')) return;
+    const narrow = matchMedia('(max-width:760px)');
+    let selected = null;
+    const request = (drive) => ({
+      recording: Number(byId('recording').value),
+      drive,
+      controllers: chosenControllers(),
+      narrow: narrow.matches,
+    });
+
+    const showDrive = latest('figures', async () => {
+      if (!selected) return;
+      const { drive, window_s } = selected;
+      try {
+        const { figure, brakings } = await ask('replay', { ...request(drive), window_s, figure: true });
+        byId('figures').innerHTML = figure;
+        byId('brakings').innerHTML = brakings;
+        byId('drive-name').textContent = `Drive ${drive + 1}`;
+        byId('drive-name').hidden = false;
+        byId('whole').hidden = !window_s;
+        showError(null);
+      } catch (error) {
+        showError(error);
+      }
+    });
+    const select = (drive, window_s = null) => {
+      selected = { drive, window_s };
+      return showDrive();
+    };
+
+    // Fills the column of commanded braking, drive by drive.
+    const fill = async (count) => {
+      const cells = byId('drives').querySelectorAll('.commanded');
+      for (let drive = 0; drive < count; drive += 1) {
+        const asked = request(drive);
+        let counts;
+        try {
+          ({ counts } = await ask('replay', asked));
+        } catch (error) {
+          counts = [error.message];
+        }
+        if (JSON.stringify(asked) !== JSON.stringify(request(drive)) || !cells[drive].isConnected) return;
+        cells[drive].replaceChildren(...counts.map((line) => element('div', {}, line)));
+      }
+    };
+    const open = latest('drives', async () => {
+      try {
+        const { summaries, drives, count } = await ask('recording', { recording: Number(byId('recording').value) });
+        showLines('words', summaries);
+        byId('drives').innerHTML = drives;
+        showError(null);
+        if (count) select(selected ? Math.min(selected.drive, count - 1) : 0, selected?.window_s);
+        await fill(count);
+      } catch (error) {
+        showError(error);
+      }
+    });
+
+    byId('recording').addEventListener('change', () => {
+      selected = null;
+      open();
+    });
+    onControllersChanged(open);
+    narrow.addEventListener('change', showDrive);
+    byId('whole').addEventListener('click', () => select(selected.drive));
+    byId('controls').addEventListener('submit', (event) => event.preventDefault());
+    byId('drives').addEventListener('click', (event) => {
+      const link = event.target.closest('[data-drive]');
+      if (!link) return;
+      event.preventDefault();
+      select(Number(link.dataset.drive)).then(() => byId('drive-name').scrollIntoView());
+    });
+    byId('brakings').addEventListener('click', (event) => {
+      const link = event.target.closest('[data-from]');
+      if (!link) return;
+      event.preventDefault();
+      const window_s = [Number(link.dataset.from), Number(link.dataset.until)];
+      select(selected.drive, window_s).then(() => byId('drive-name').scrollIntoView());
+    });
+    open();
+  };
+
+  const suitesPage = () => {
+    if (!byId('suite')) return;
+    const show = latest('tests', async () => {
+      const all = chosenControllers();
+      const estimator = byId('estimator').value;
+      // Shows the results as they arrive; the server keeps them.
+      for (let count = 1; count <= all.length; count += 1) {
+        byId('said').textContent = `Running the suite with ${all[count - 1]} …`;
+        try {
+          const asked = { suite: Number(byId('suite').value), controllers: all.slice(0, count), estimator };
+          const { summaries, tests } = await ask('suite', asked);
+          showLines('words', summaries);
+          byId('tests').innerHTML = tests;
+          showError(null);
+        } catch (error) {
+          showError(error);
+        }
+      }
+      byId('said').textContent = '';
+    });
+    byId('suite').addEventListener('change', show);
+    byId('estimator').addEventListener('change', show);
+    onControllersChanged(show);
+    byId('controls').addEventListener('submit', (event) => event.preventDefault());
+    show();
+  };
+
+  ({ scenario: scenarioPage, campaigns: campaignsPage, recordings: recordingsPage, suites: suitesPage })[
+    document.body.dataset.page
+  ]();
 })();

@@ -1,4 +1,4 @@
-//! Local web application for editing scenarios interactively and for watching campaigns.
+//! Local web application for editing scenarios interactively, and for results of campaigns, recordings and suites.
 //!
 //! | module | content |
 //! |---|---|
@@ -10,6 +10,8 @@
 //! | `avoidability` | avoidability of a collision |
 //! | `save` | storage of a scenario as a file |
 //! | `campaign` | results of campaigns, over evaluations and over parameters |
+//! | `recording` | recorded drives, and what controllers command there |
+//! | `suite` | tests of suites with their margins |
 //! | `page` | pages, style sheet and script |
 //! | `routes` | dispatch of requests |
 //! | `server` | connections, their limits, and shutdown |
@@ -30,11 +32,13 @@ mod campaign;
 mod catalog;
 mod error;
 mod page;
+mod recording;
 mod render;
 mod request;
 mod routes;
 mod save;
 mod server;
+mod suite;
 
-pub use catalog::{CatalogScenario, ExploreConfig, ExploreConfigError};
+pub use catalog::{CatalogScenario, CatalogSuite, ExploreConfig, ExploreConfigError};
 pub use server::{ServeError, Server};

@@ -63,23 +63,8 @@ fn scenario_controls(catalog: &Catalog) -> Markup {
                 with ← and →, and change the value with ↑ and ↓." }
                 button type="button" id="lead-back" { "As in the scenario" }
             }
-            fieldset id="chosen" {
-                legend { "Controllers to compare" }
-                @for (index, controller) in catalog.controllers.iter().enumerate() {
-                    @let name = TerminalText(&controller.name);
-                    label.choice {
-                        input type="checkbox" value=(controller.name) checked[index < catalog.selected_controllers];
-                        " " (name)
-                    }
-                }
-            }
-            label { "Estimator "
-                select id="estimator" {
-                    @for kind in EstimatorKind::ALL {
-                        option value=(kind.name()) selected[kind == catalog.estimator] { (kind.name()) }
-                    }
-                }
-            }
+            (controller_choice(catalog))
+            (estimator_choice(catalog))
             label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
             div.buttons {
                 button type="button" id="download" { "Download" }
@@ -88,6 +73,106 @@ fn scenario_controls(catalog: &Catalog) -> Markup {
             p id="saved" role="status" {}
         }
     }
+}
+
+fn controller_choice(catalog: &Catalog) -> Markup {
+    html! {
+        fieldset id="chosen" {
+            legend { "Controllers to compare" }
+            @for (index, controller) in catalog.controllers.iter().enumerate() {
+                @let name = TerminalText(&controller.name);
+                label.choice {
+                    input type="checkbox" value=(controller.name) checked[index < catalog.selected_controllers];
+                    " " (name)
+                }
+            }
+        }
+    }
+}
+
+fn estimator_choice(catalog: &Catalog) -> Markup {
+    html! {
+        label { "Estimator "
+            select id="estimator" {
+                @for kind in EstimatorKind::ALL {
+                    option value=(kind.name()) selected[kind == catalog.estimator] { (kind.name()) }
+                }
+            }
+        }
+    }
+}
+
+/// Returns a list of names from which one is chosen.
+fn choice<'n>(id: &str, label: &str, names: impl Iterator<Item = &'n str>) -> Markup {
+    html! {
+        label { (label) " "
+            select id=(id) {
+                @for (index, name) in names.enumerate() { option value=(index) { (TerminalText(name)) } }
+            }
+        }
+    }
+}
+
+pub(crate) fn recordings_page(catalog: &Catalog) -> String {
+    let names = catalog.recordings.iter().map(|recording| &*recording.name);
+    let content = html! {
+        h1.unseen { "Recordings" }
+        @if catalog.recordings.is_empty() {
+            p { "No recording was given. Start crumple with a recording:" }
+            p { code { "crumple explore --recording platoon.csv --controller acc-aeb" } }
+        } @else {
+            div.bench {
+                form.controls id="controls" aria-label="Selection" {
+                    (choice("recording", "Recording", names))
+                    (controller_choice(catalog))
+                    p.hint { "Each controller observes the recorded drive of a vehicle behind its leader, and cannot \
+                    change it. Braking that would have prevented a situation does not show." }
+                }
+                section.seen aria-label="Result" {
+                    p.bad id="error" role="alert" hidden {}
+                    div id="words" {}
+                    div id="drives" {}
+                    h2 id="drive-name" hidden {}
+                    p { button type="button" id="whole" hidden { "Show the whole drive" } }
+                    div id="figures" {}
+                    div id="brakings" {}
+                }
+            }
+        }
+    };
+    document("recordings", "Recordings", &start_values(), &content)
+}
+
+pub(crate) fn suites_page(catalog: &Catalog) -> String {
+    let names = catalog.suites.iter().map(|suite| &*suite.name);
+    let content = html! {
+        h1.unseen { "Suites" }
+        @if catalog.suites.is_empty() {
+            p { "No suite was given. Start crumple with a suite:" }
+            p { code { "crumple explore --suite fmvss-127 --controller acc-aeb" } }
+        } @else {
+            div.bench {
+                form.controls id="controls" aria-label="Selection" {
+                    (choice("suite", "Suite", names))
+                    (controller_choice(catalog))
+                    (estimator_choice(catalog))
+                    p.hint { "A margin states how far one quantity can be changed until the test fails. Each link \
+                    opens the simulation." }
+                }
+                section.seen aria-label="Result" {
+                    p.bad id="error" role="alert" hidden {}
+                    p id="said" role="status" {}
+                    div id="words" {}
+                    div id="tests" {}
+                }
+            }
+        }
+    };
+    document("suites", "Suites", &start_values(), &content)
+}
+
+fn start_values() -> Value {
+    json!({ "most_controllers": ExploreConfig::MAX_CONTROLLERS })
 }
 
 pub(crate) fn campaigns_page(catalog: &Catalog) -> String {
@@ -151,7 +236,8 @@ fn document(page: &str, title: &str, start: &Value, content: &Markup) -> String 
                 header {
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
                     nav {
-                        @let links = [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns")];
+                        @let links = [("scenario", "./", "Scenario"), ("campaigns", "campaigns", "Campaigns"),
+                            ("recordings", "recordings", "Recordings"), ("suites", "suites", "Suites")];
                         @for (name, address, label) in links {
                             a href=(address) aria-current=[(name == page).then_some("page")] { (label) } " "
                         }

@@ -5,17 +5,18 @@ use crumple_measure::{DEFAULT_CLASS_WORDS, LevelMeasures, UnnecessaryBraking};
 use crumple_report::draw::{
     self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names,
 };
-use crumple_sim::control::TwoSidedSettings;
+use crumple_sim::control::{TestDriverSettings, TestDriverSource, TwoSidedSettings};
 use crumple_sim::engine::{
     NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
+use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Driver, LeadProfile, Scenario};
-use maud::html;
+use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::catalog::Catalog;
 use crate::error::RequestError;
-use crate::request::{RunRequest, gaps_m};
+use crate::request::{RunRequest, gaps_m, parse_test_driver};
 
 const MAX_PAD_CELLS: usize = 60;
 
@@ -71,10 +72,11 @@ pub(crate) fn run_and_render(
 ) -> Result<RunResponse, RequestError> {
     let scenario = request.take_scenario(catalog)?;
     let controllers = catalog.find_controllers(&request.controllers)?;
+    let test_driver = parse_test_driver(request.test_driver.as_deref())?;
     let mut runs = Vec::new();
     let mut panels = Vec::new();
     for controller in &controllers {
-        let options = RunOptions::new(controller.source.clone()).with_estimator(request.estimator);
+        let options = run_options(controller, test_driver.as_ref(), request.estimator);
         let run = Run::new(&scenario, options)
             .map_err(|error| RequestError::invalid("controllers", error))?;
         let result = simulate(&run, RecordingLevel::Trace);
@@ -88,6 +90,23 @@ pub(crate) fn run_and_render(
         figures: render_figures(&scenario, &runs, request.narrow),
         sliders: Sliders::new(&scenario),
     })
+}
+
+/// Returns the options of a run in which a test driver, if there is one, drives with the controller.
+fn run_options(
+    controller: &NamedController,
+    test_driver: Option<&TestDriverSettings>,
+    estimator: EstimatorKind,
+) -> RunOptions {
+    let alone = controller.source.clone();
+    let options = match test_driver {
+        Some(settings) => RunOptions::new(TestDriverSource {
+            controller: alone,
+            settings: settings.clone(),
+        }),
+        None => RunOptions::new(alone),
+    };
+    options.with_estimator(estimator)
 }
 
 fn render_panel(
@@ -175,8 +194,13 @@ fn level_notes(run: &Run, result: &SimulationResult) -> Vec<String> {
         .collect()
 }
 
+/// Escapes control and bidirectional characters in markup, which names can contain.
+pub(crate) fn escape_markup(markup: &Markup) -> String {
+    TerminalLines(&markup.0).to_string()
+}
+
 /// Escapes invisible characters in foreign text.
-fn escape_text(text: &str) -> String {
+pub(crate) fn escape_text(text: &str) -> String {
     TerminalText(text).to_string()
 }
 
@@ -207,7 +231,7 @@ fn render_figures(
             }
         }
     };
-    TerminalLines(&markup.into_string()).to_string()
+    escape_markup(&markup)
 }
 
 /// Renders the diagrams of a run. `scenario` is the original one: in an escape, a script drives the vehicle under test.
@@ -223,7 +247,7 @@ pub(crate) fn render_replay(scenario: &Scenario, run: &SimulationResult, title: 
         trace,
         impacts: &run.impacts,
     };
-    TerminalLines(&draw::draw_motion_responsive(&figure).into_string()).to_string()
+    escape_markup(&draw::draw_motion_responsive(&figure))
 }
 
 impl Sliders {

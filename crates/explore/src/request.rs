@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crumple_core::text_file::parse_json;
+use crumple_sim::control::TestDriverSettings;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{
     Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass,
@@ -35,6 +36,9 @@ pub(crate) struct RunRequest {
     pub(crate) estimator: EstimatorKind,
     #[serde(default)]
     pub(crate) narrow: bool,
+    /// Test driver that drives with each controller, as in names of controllers (`test-driver,hold_mps=20:`).
+    #[serde(default)]
+    pub(crate) test_driver: Option<String>,
 }
 
 /// Edits of a scenario; none keeps a value.
@@ -56,6 +60,21 @@ struct VehicleEdit {
     /// Bumper-to-bumper gap to the vehicle listed before it.
     gap_m: Option<f64>,
     speed_mps: Option<f64>,
+}
+
+/// Parses a test driver; none without a text.
+pub(crate) fn parse_test_driver(
+    text: Option<&str>,
+) -> Result<Option<TestDriverSettings>, RequestError> {
+    let Some(text) = text else {
+        return Ok(None);
+    };
+    let settings = text
+        .trim_end_matches(':')
+        .trim_start_matches("test-driver");
+    TestDriverSettings::parse(settings)
+        .map(Some)
+        .map_err(|error| RequestError::invalid("test_driver", error))
 }
 
 pub(crate) fn parse_body<T: DeserializeOwned>(body: &[u8]) -> Result<T, RequestError> {

@@ -4,6 +4,7 @@ use std::sync::{Mutex, TryLockError};
 
 use crumple_core::quoting::TerminalText;
 use crumple_search::falsify::campaign::CampaignReader;
+use crumple_sim::control::TestDriverSettings;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Scenario, ScenarioSpec};
 use hyper::{Method, StatusCode};
@@ -15,9 +16,11 @@ use crate::campaign;
 use crate::catalog::{self, Catalog};
 use crate::error::RequestError;
 use crate::page;
+use crate::recording;
 use crate::render::{Sliders, run_and_render};
-use crate::request::{EditedScenario, RunRequest, parse_body};
+use crate::request::{EditedScenario, RunRequest, parse_body, parse_test_driver};
 use crate::save::SaveResponse;
+use crate::suite::{self, TestRequest};
 
 /// Application state: access control and catalog.
 #[derive(Debug)]
@@ -53,6 +56,9 @@ struct OpenResponse<'a> {
     controller: Option<String>,
     estimator: Option<&'static str>,
     note: Option<String>,
+    /// Test driver that drives with the controller, as in the names of controllers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    test_driver: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -63,6 +69,8 @@ struct SaveRequest {
     controller: String,
     #[serde(default)]
     estimator: EstimatorKind,
+    #[serde(default)]
+    test_driver: Option<String>,
 }
 
 impl Application {
@@ -86,6 +94,13 @@ impl Application {
             ("campaigns", &Method::GET) => {
                 Ok(HttpResponse::new(HTML, page::campaigns_page(&self.catalog)))
             }
+            ("recordings", &Method::GET) => Ok(HttpResponse::new(
+                HTML,
+                page::recordings_page(&self.catalog),
+            )),
+            ("suites", &Method::GET) => {
+                Ok(HttpResponse::new(HTML, page::suites_page(&self.catalog)))
+            }
             ("explore.css", &Method::GET) => Ok(HttpResponse::new(
                 "text/css; charset=utf-8",
                 page::style_sheet(),
@@ -94,26 +109,44 @@ impl Application {
                 "text/javascript; charset=utf-8",
                 page::SCRIPT.to_owned(),
             )),
-            ("" | "campaigns" | "explore.css" | "explore.js", _) => {
+            ("" | "campaigns" | "recordings" | "suites" | "explore.css" | "explore.js", _) => {
                 Err(RequestError::MethodNotAllowed("GET"))
             }
-            ("api/open", &Method::POST) => self.open(&parse_body(body)?),
-            ("api/run", &Method::POST) => json_response(&run_and_render(
+            (call, _) => match call.strip_prefix("api/") {
+                Some(call) => self.call(method, call, body),
+                None => Err(NOT_FOUND),
+            },
+        }
+    }
+
+    /// Responds to a request of the script.
+    fn call(&self, method: &Method, call: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
+        if !CALLS.contains(&call) {
+            return Err(NOT_FOUND);
+        }
+        if method != Method::POST {
+            return Err(RequestError::MethodNotAllowed("POST"));
+        }
+        match call {
+            "open" => self.open(&parse_body(body)?),
+            "open-test" => self.open_test(&parse_body(body)?),
+            "run" => json_response(&run_and_render(
                 parse_body::<RunRequest>(body)?,
                 &self.catalog,
             )?),
-            ("api/avoid", &Method::POST) => self.avoid(parse_body(body)?),
-            ("api/save", &Method::POST) => self.save(parse_body(body)?),
-            ("api/campaign", &Method::POST) => json_response(&campaign::show_campaigns(
+            "avoid" => self.avoid(parse_body(body)?),
+            "save" => self.save(parse_body(body)?),
+            "campaign" => json_response(&campaign::show_campaigns(
                 &parse_body(body)?,
                 &self.catalog.campaigns,
             )?),
-            ("api/open" | "api/run" | "api/avoid" | "api/save" | "api/campaign", _) => {
-                Err(RequestError::MethodNotAllowed("POST"))
-            }
-            _ => Err(RequestError::NotFound(
-                "see the address that crumple printed at its start",
-            )),
+            "recording" => json_response(&recording::show_recording(
+                &parse_body(body)?,
+                &self.catalog.recordings,
+            )?),
+            "replay" => json_response(&recording::show_replay(&parse_body(body)?, &self.catalog)?),
+            "suite" => json_response(&suite::show_suite(&parse_body(body)?, &self.catalog)?),
+            _ => Err(NOT_FOUND),
         }
     }
 
@@ -134,6 +167,7 @@ impl Application {
                     controller: None,
                     estimator: None,
                     note: None,
+                    test_driver: None,
                 })
             }
             OpenRequest {
@@ -147,6 +181,21 @@ impl Application {
                 "open either a scenario or a campaign",
             )),
         }
+    }
+
+    fn open_test(&self, request: &TestRequest) -> Result<HttpResponse, RequestError> {
+        let opened = suite::open_test(request, &self.catalog)?;
+        json_response(&OpenResponse {
+            scenario: opened.scenario.spec(),
+            sliders: Sliders::new(&opened.scenario),
+            controller: Some(opened.controller),
+            estimator: Some(request.estimator.name()),
+            note: Some(opened.note),
+            test_driver: opened
+                .test_driver
+                .as_ref()
+                .map(TestDriverSettings::name_prefix),
+        })
     }
 
     fn open_campaign_scenario(
@@ -183,6 +232,7 @@ impl Application {
                 .then(|| reader.controller().to_owned()),
             estimator: Some(reader.estimator().name()),
             note: unavailable,
+            test_driver: None,
         })
     }
 
@@ -222,16 +272,34 @@ impl Application {
         let controllers = self
             .catalog
             .find_controllers(std::slice::from_ref(&save.controller))?;
-        let controller = controllers
+        let name = controllers
             .first()
             .map_or("", |controller| controller.name.as_str());
+        let test_driver = parse_test_driver(save.test_driver.as_deref())?
+            .map_or_else(String::new, |driver| driver.name_prefix());
         json_response(&SaveResponse::new(
             &scenario,
-            controller,
+            &format!("{test_driver}{name}"),
             save.estimator.name(),
         )?)
     }
 }
+
+const NOT_FOUND: RequestError =
+    RequestError::NotFound("see the address that crumple printed at its start");
+
+/// Calls of the script, below `api/`.
+const CALLS: [&str; 9] = [
+    "open",
+    "open-test",
+    "run",
+    "avoid",
+    "save",
+    "campaign",
+    "recording",
+    "replay",
+    "suite",
+];
 
 /// Returns the scenario of an evaluation of a campaign, with a name that says which.
 fn evaluated_scenario(reader: &CampaignReader, index: usize) -> Result<Scenario, RequestError> {

@@ -14,7 +14,7 @@ use std::path::Path;
 use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use crumple_explore::{CatalogScenario, ExploreConfig, Server};
+use crumple_explore::{CatalogScenario, CatalogSuite, ExploreConfig, Server};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
@@ -143,6 +143,8 @@ fn pages_require_the_token_and_load_nothing_external() {
     for (path, kind) in [
         ("", "text/html"),
         ("campaigns", "text/html"),
+        ("recordings", "text/html"),
+        ("suites", "text/html"),
         ("explore.css", "text/css"),
         ("explore.js", "text/javascript"),
     ] {
@@ -177,13 +179,25 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
         ("Content-Type", "application/json"),
     ];
     let wrong = "0".repeat(token.len());
-    let pages = ["", "campaigns", "explore.css", "explore.js", "nothing"];
+    let pages = [
+        "",
+        "campaigns",
+        "recordings",
+        "suites",
+        "explore.css",
+        "explore.js",
+        "nothing",
+    ];
     for path in pages.into_iter().chain([
         "api/open",
+        "api/open-test",
         "api/run",
         "api/avoid",
         "api/save",
         "api/campaign",
+        "api/recording",
+        "api/replay",
+        "api/suite",
     ]) {
         for method in ["GET", "POST", "PUT", "OPTIONS"] {
             for address in [
@@ -431,10 +445,195 @@ fn errors_name_their_field() {
     );
     refused("open", "{}", 422, "either");
     refused("campaign", r#"{"campaign": 0}"#, 422, "there are");
+    refused("recording", r#"{"recording": 0}"#, 422, "there are");
+    refused(
+        "suite",
+        r#"{"suite": 0, "controllers": ["idm"]}"#,
+        422,
+        "there are",
+    );
+    let test = r#"{"suite": 0, "test": 0, "controller": 0, "point": {"failure": 0}}"#;
+    refused("open-test", test, 422, "there are");
+    let mut body = run_request(&json!({}));
+    body["test_driver"] = json!("test-driver,hold=3:");
+    refused("run", &body.to_string(), 422, "hold");
     let (status, answer) = post("nothing", b"{}");
     assert_eq!(
         (status, &answer["error"]["kind"]),
         (404, &json!("not-found"))
+    );
+}
+
+/// A leader that brakes at 3 m/s² for two seconds, followed at a gap of 20 m by a driver who brakes a second later.
+fn braking_csv() -> String {
+    let mut text =
+        "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    let braking = |at_s: f64| 20.0 - 3.0 * at_s.clamp(0.0, 2.0);
+    let mut gap_m = 20.0;
+    for sample in 0..100 {
+        let at_s = 0.1 * f64::from(sample);
+        let [leader_mps, own_mps] = [braking(at_s - 3.0), braking(at_s - 4.0)];
+        let closing_mps = leader_mps - own_mps;
+        text += &format!("1,{at_s:.1},{gap_m:.3},{own_mps:.3},{closing_mps:.3},{leader_mps:.3}\n");
+        gap_m += 0.1 * closing_mps;
+    }
+    text
+}
+
+/// The page shows the recorded drive, and the brakings of each controller as `crumple replay` finds them.
+#[test]
+fn a_recorded_drive_shows_the_brakings_of_controllers() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.csv");
+    std::fs::write(&path, braking_csv()).unwrap();
+    let offer = ExploreConfig {
+        recordings: vec![path.clone()],
+        ..ExploreConfig::default()
+    };
+    let (port, token) = start(Server::bind(0, offer).unwrap());
+    let ask = |what: &str, body: &Value| {
+        let (status, answer) = post_at(port, &token, what, body.to_string().as_bytes());
+        assert_eq!(status, 200, "{what}: {answer}");
+        answer
+    };
+    assert_eq!(ask("recording", &json!({ "recording": 0 }))["count"], 1);
+    let controllers = ["idm", "full-throttle"];
+    let body = json!({ "recording": 0, "drive": 0, "controllers": controllers, "figure": true });
+    let answer = ask("replay", &body);
+    let recording = crumple_exchange::recording::load(&path, None).unwrap();
+    for (index, name) in controllers.into_iter().enumerate() {
+        let options = RunOptions::new(BuiltInController::from_name(name).unwrap())
+            .with_estimator(EstimatorKind::Truth);
+        let replayed =
+            crumple_exchange::recording::replay::replay(&recording, &options, 1.3, &|_, _| ());
+        let brakings = replayed.unwrap().remove(0).brakings;
+        let counted = answer["counts"][index].as_str().unwrap();
+        let hardest = brakings
+            .iter()
+            .map(|braking| braking.brake_mps2)
+            .reduce(f64::max);
+        let expected = hardest.map_or("never".to_owned(), |mps2| format!("{mps2:.1} m/s²"));
+        assert!(
+            counted.starts_with(name) && counted.contains(&expected),
+            "{counted}: {expected}"
+        );
+        assert_eq!(brakings.is_empty(), name == "full-throttle");
+    }
+    let figure = answer["figure"].as_str().unwrap();
+    for title in [
+        "Recorded speed",
+        "Recorded gap",
+        "Acceleration, recorded and commanded",
+        "Recorded time to collision",
+        "commanded by full-throttle",
+    ] {
+        assert!(figure.contains(title), "{title}");
+    }
+    // The leader begins to brake at 3 s.
+    let mut zoomed = body;
+    zoomed["window_s"] = json!([2.0, 4.0]);
+    assert_ne!(ask("replay", &zoomed)["figure"].as_str(), Some(figure));
+    assert!(answer["brakings"].as_str().unwrap().contains("data-from"));
+}
+
+const SUITE: &str = r#"
+version = 1
+name = "behind"
+about = "A vehicle stands."
+document = "None"
+edition = "1"
+parameter_source = "Chosen."
+
+[[clauses]]
+clause = "1"
+summary = "The vehicle ahead stands."
+
+[[clauses.tests]]
+name = "standing"
+lead = "stopped"
+holds_speed = true
+margins = [{ parameter = "own_speed", to = 200.0 }]
+parameters.own_speed = { values = [30.0, 190.0], unit = "km/h", origin = "chosen" }
+parameters.closing_time = { values = [4.0], unit = "s", origin = "chosen" }
+
+[[clauses.tests]]
+name = "near"
+lead = "stopped"
+margins = [{ parameter = "closing_time", to = 0.2 }]
+parameters.own_speed = { values = [30.0], unit = "km/h", origin = "chosen" }
+parameters.closing_time = { values = [4.0], unit = "s", origin = "chosen" }
+"#;
+
+/// Each link of a suite opens a simulation that ends as the suite states, with the driver of the test.
+#[test]
+fn tests_of_a_suite_open_their_simulations() {
+    let suite = crumple_suites::TestSuite::from_toml(SUITE, Path::new("behind.toml")).unwrap();
+    let offer = ExploreConfig {
+        suites: vec![CatalogSuite {
+            name: "behind".to_owned(),
+            suite,
+        }],
+        ..ExploreConfig::default()
+    };
+    let (port, token) = start(Server::bind(0, offer).unwrap());
+    let ask = |what: &str, body: &Value| {
+        let (status, answer) = post_at(port, &token, what, body.to_string().as_bytes());
+        assert_eq!(status, 200, "{what}: {answer}");
+        answer
+    };
+    let answer = ask(
+        "suite",
+        &json!({ "suite": 0, "controllers": ["baseline", "idm"] }),
+    );
+    let tests = answer["tests"].as_str().unwrap();
+    assert!(answer["summaries"].to_string().contains("no certification"));
+    assert!(
+        tests.contains("margin of closing time at own speed 30 km/h"),
+        "{tests}"
+    );
+    // `baseline` is the first controller of the page: it was selected.
+    let open = |test: usize, point: Value| {
+        ask(
+            "open-test",
+            &json!({ "suite": 0, "test": test, "controller": 0, "point": point }),
+        )
+    };
+    for (test, point, verdict) in [
+        (0, json!("first"), "safe"),
+        (0, json!({ "failure": 0 }), "collision"),
+        (1, json!("first"), "safe"),
+        (1, json!({ "passes_at": 0 }), "safe"),
+        (1, json!({ "fails_at": 0 }), "collision"),
+    ] {
+        if let Some((end, index)) = point.as_object().and_then(|point| point.iter().next()) {
+            assert!(
+                tests.contains(&format!("test={test}&amp;controller=0")),
+                "{tests}"
+            );
+            assert!(tests.contains(&format!("&amp;{end}={index}\"")), "{tests}");
+        }
+        let opened = open(test, point.clone());
+        let run = json!({
+            "scenario": opened["scenario"],
+            "controllers": [opened["controller"]],
+            "test_driver": opened["test_driver"],
+        });
+        let ran = ask("run", &run);
+        assert_eq!(
+            ran["runs"][0]["verdict"], verdict,
+            "{test} {point}: {opened}"
+        );
+        assert_eq!(opened["test_driver"].is_null(), test == 1, "{opened}");
+    }
+    let saved = json!({
+        "edited": { "scenario": open(0, json!("first"))["scenario"] },
+        "controller": "baseline",
+        "test_driver": open(0, json!("first"))["test_driver"],
+    });
+    let command = ask("save", &saved)["command"].to_string();
+    assert!(
+        command.contains("test-driver,hold_mps=8.333333333333334:baseline"),
+        "{command}"
     );
 }
 

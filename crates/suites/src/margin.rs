@@ -111,6 +111,17 @@ impl Sweep<'_> {
     }
 }
 
+impl TestSpec {
+    /// Returns the point of a margin, given by its index among the [`margins`](crate::ControllerResult::margins) of a
+    /// result, at a value of its parameter; `None` if the test has no such margin.
+    #[must_use]
+    pub fn margin_point(&self, margin: usize, value: f64) -> Option<Vec<f64>> {
+        let all = sweeps(self);
+        let sweep = all.get(margin)?;
+        Some(with_value(&sweep.base, sweep.position, value))
+    }
+}
+
 /// Finds the margins of a test: one per direction and combination of the other parameters.
 pub(super) fn find_margins(
     test: &TestSpec,

@@ -281,7 +281,7 @@ impl TestSpec {
 
     /// Describes a point, as in `own speed 50 km/h, gap 12 m`.
     #[must_use]
-    pub(crate) fn describe_point(&self, point: &[f64]) -> String {
+    pub fn describe_point(&self, point: &[f64]) -> String {
         self.describe_point_without(point, None)
     }
 

@@ -5,7 +5,7 @@ use super::lead_vehicles::LeadVehicle;
 use super::motion::SpeedSample;
 
 /// Leader, the vehicle itself and its follower at one sample of the leader.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub(super) struct DriveInstant {
     pub(super) sample: SpeedSample,
     /// Time of the sample in the recording, in seconds.

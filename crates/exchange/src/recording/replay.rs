@@ -1,6 +1,7 @@
 //! Open-loop replay: the commands of a controller that observes a recorded drive and cannot change it.
 
 use super::drive::{DriveInstant, DriveState, interpolate_states, split_drives};
+use super::lead_vehicles::LeadVehicle;
 use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
 use crumple_core::digits::format_fixed;
@@ -93,25 +94,37 @@ pub fn replay(
     let mut done_s = 0.0;
     for lead in &leads {
         for segment in lead.segments() {
-            for drive in split_drives(&**lead, &segment, DriveInstant::has_same_follower) {
-                let steps = resample(&drive);
-                let lasts_long = steps.len() as f64 * STEP_S >= MIN_REPLAY_S;
-                if let Some(first) = drive.first().filter(|_| lasts_long) {
-                    let commands_mps2 = commands(first, &steps, options, &|now_s| {
-                        advance(done_s + now_s - first.time_s, total_s);
-                    })?;
-                    replayed.push(evaluate(
-                        lead.event(),
-                        first,
-                        (&steps, &commands_mps2),
-                        min_brake_mps2,
-                    ));
-                }
+            for drive in drives_of_segment(&**lead, &segment) {
+                let commands_mps2 =
+                    drive.commands_mps2(options, &|now_s| advance(done_s + now_s, total_s))?;
+                replayed.push(drive.evaluate(&commands_mps2, min_brake_mps2));
             }
             done_s += segment_duration_s(&segment);
         }
     }
     Ok(replayed)
+}
+
+/// Returns every recorded drive behind a leader that lasts at least a second.
+#[must_use]
+pub fn open_loop_drives(recording: &Recording) -> Vec<OpenLoopDrive> {
+    let mut drives = Vec::new();
+    for lead in &recording.lead_vehicles() {
+        for segment in lead.segments() {
+            drives.extend(drives_of_segment(&**lead, &segment));
+        }
+    }
+    drives
+}
+
+fn drives_of_segment(
+    lead: &dyn LeadVehicle,
+    segment: &[SpeedSample],
+) -> impl Iterator<Item = OpenLoopDrive> {
+    let event = lead.event().map(str::to_owned);
+    split_drives(lead, segment, DriveInstant::has_same_follower)
+        .into_iter()
+        .filter_map(move |instants| OpenLoopDrive::new(event.clone(), &instants))
 }
 
 fn segment_duration_s(segment: &[SpeedSample]) -> f64 {
@@ -123,10 +136,111 @@ fn segment_duration_s(segment: &[SpeedSample]) -> f64 {
         })
 }
 
-/// Observation of the controller at a time of the recording.
-struct ReplayStep {
-    time_s: f64,
-    observed: Observation,
+/// A recorded drive of one vehicle behind another, without holes, which a controller can observe but not change.
+#[derive(Debug, Clone)]
+pub struct OpenLoopDrive {
+    event: Option<String>,
+    first: DriveInstant,
+    steps: Vec<ReplayStep>,
+}
+
+/// Recorded state of a drive at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ReplayStep {
+    /// Time of the recording, in seconds.
+    pub time_s: f64,
+    /// Observation of a controller in place of the vehicle.
+    pub observed: Observation,
+}
+
+impl OpenLoopDrive {
+    /// Duration of a step, in seconds.
+    pub const STEP_S: f64 = STEP_S;
+
+    /// Returns the drive of these instants; `None` if it is too short.
+    fn new(event: Option<String>, instants: &[DriveInstant]) -> Option<Self> {
+        let steps = resample(instants);
+        let first = instants.first()?.clone();
+        (steps.len() as f64 * STEP_S >= MIN_REPLAY_S).then_some(Self {
+            event,
+            first,
+            steps,
+        })
+    }
+
+    /// Returns the event, if the file names events.
+    #[must_use]
+    pub fn event(&self) -> Option<&str> {
+        self.event.as_deref()
+    }
+
+    /// Returns the number of the vehicle that the controller replaces.
+    #[must_use]
+    pub fn vehicle(&self) -> usize {
+        self.first.vehicle.number
+    }
+
+    /// Returns the recorded states, one each [`OpenLoopDrive::STEP_S`]; at least one.
+    #[must_use]
+    pub fn steps(&self) -> &[ReplayStep] {
+        &self.steps
+    }
+
+    /// Returns the acceleration that the controller of `options` commands at each step, in m/s², within the limits of
+    /// the vehicle. `advance` receives the replayed seconds.
+    ///
+    /// # Errors
+    /// [`OpenLoopError`] if the controller cannot drive.
+    pub fn commands_mps2(
+        &self,
+        options: &RunOptions,
+        advance: &dyn Fn(f64),
+    ) -> Result<Vec<f64>, OpenLoopError> {
+        let run = Run::new(&initial_scenario(&self.first)?, options.clone())?;
+        let Some(mut controller) = run.open_loop_controller(1) else {
+            return Ok(Vec::new());
+        };
+        let commands = self.steps.iter().enumerate().map(|(index, step)| {
+            if index % 256 == 0 {
+                advance(step.time_s - self.first.time_s);
+            }
+            controller
+                .command_mps2(&step.observed)
+                .map_err(|failure| OpenLoopError::NoAnswer {
+                    time_s: step.time_s,
+                    reason: failure.to_string(),
+                })
+        });
+        commands.collect()
+    }
+
+    /// Measures the braking that a controller commands, and that of the driver. Brakings count from `min_brake_mps2`
+    /// on.
+    #[must_use]
+    pub fn evaluate(&self, commands_mps2: &[f64], min_brake_mps2: f64) -> ReplayedDrive {
+        let steps = &self.steps;
+        let controller_steps = steps
+            .iter()
+            .zip(commands_mps2)
+            .map(|(step, &command_mps2)| step.with_acceleration(command_mps2));
+        let driver_steps = steps
+            .iter()
+            .map(|step| step.with_acceleration(step.observed.acceleration_mps2));
+        ReplayedDrive {
+            event: self.event.clone(),
+            vehicle: self.first.vehicle.clone(),
+            duration_s: steps.len() as f64 * STEP_S,
+            distance_m: steps
+                .iter()
+                .map(|step| step.observed.speed_mps * STEP_S)
+                .sum(),
+            brakings: replayed_brakings(steps, commands_mps2, min_brake_mps2),
+            unnecessary: [
+                UnnecessaryBraking::from_steps(controller_steps),
+                UnnecessaryBraking::from_steps(driver_steps),
+            ],
+        }
+    }
 }
 
 /// Interpolates a drive to the time step, with the time of the recording.
@@ -164,31 +278,6 @@ fn observe(states: &[DriveState], step: usize, has_follower: bool) -> Observatio
     }
 }
 
-/// Returns the acceleration that the controller commands at each step, within the limits of the vehicle.
-fn commands(
-    first: &DriveInstant,
-    steps: &[ReplayStep],
-    options: &RunOptions,
-    advance: &dyn Fn(f64),
-) -> Result<Vec<f64>, OpenLoopError> {
-    let run = Run::new(&initial_scenario(first)?, options.clone())?;
-    let Some(mut controller) = run.open_loop_controller(1) else {
-        return Ok(Vec::new());
-    };
-    let commands = steps.iter().enumerate().map(|(index, step)| {
-        if index % 256 == 0 {
-            advance(step.time_s);
-        }
-        controller
-            .command_mps2(&step.observed)
-            .map_err(|failure| OpenLoopError::NoAnswer {
-                time_s: step.time_s,
-                reason: failure.to_string(),
-            })
-    });
-    commands.collect()
-}
-
 /// Returns a scenario of the vehicles at the start of a drive, of which the controller drives the second one.
 fn initial_scenario(first: &DriveInstant) -> Result<Scenario, InvalidField> {
     let mut leader = VehicleSpec::new(
@@ -222,36 +311,6 @@ fn vehicle_spec(vehicle: &EpisodeVehicle, position_m: f64, driver: Driver) -> Ve
     let mut spec = VehicleSpec::new(class, position_m, vehicle.speed_mps, driver);
     spec.length_m = Some(length_m);
     spec
-}
-
-/// Measures the braking that the controller commands, and that of the driver.
-fn evaluate(
-    event: Option<&str>,
-    first: &DriveInstant,
-    (steps, commands_mps2): (&[ReplayStep], &[f64]),
-    min_brake_mps2: f64,
-) -> ReplayedDrive {
-    let controller_steps = steps
-        .iter()
-        .zip(commands_mps2)
-        .map(|(step, &command_mps2)| step.with_acceleration(command_mps2));
-    let driver_steps = steps
-        .iter()
-        .map(|step| step.with_acceleration(step.observed.acceleration_mps2));
-    ReplayedDrive {
-        event: event.map(str::to_owned),
-        vehicle: first.vehicle.clone(),
-        duration_s: steps.len() as f64 * STEP_S,
-        distance_m: steps
-            .iter()
-            .map(|step| step.observed.speed_mps * STEP_S)
-            .sum(),
-        brakings: replayed_brakings(steps, commands_mps2, min_brake_mps2),
-        unnecessary: [
-            UnnecessaryBraking::from_steps(controller_steps),
-            UnnecessaryBraking::from_steps(driver_steps),
-        ],
-    }
 }
 
 impl ReplayStep {

@@ -3,7 +3,7 @@
 mod figures;
 mod grid;
 
-use crumple_core::quoting::{TerminalLines, TerminalText};
+use crumple_core::quoting::TerminalText;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{
     CampaignError, CampaignReader, EvaluatedPoint, MAX_READ_EVALUATIONS,
@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::catalog;
 use crate::error::RequestError;
+use crate::render::escape_markup;
 use grid::FailureGrid;
 
 const MAX_LISTED: usize = 40;
@@ -108,16 +109,16 @@ pub(crate) fn show_campaigns(
         x_parameter,
         y_parameter,
         methods: reader.methods().iter().map(Method::to_string).collect(),
-        best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
-        maps: escape_markup(maps),
+        best: escape_markup(&figures::best_robustness_figure(&shown, request.narrow)),
+        maps: escape_markup(&maps),
         distinct: escape_markup(
-            shown
+            &shown
                 .iter()
                 .map(distinct_failures_table)
                 .fold(html! {}, |before, next| html! { (before) (next) }),
         ),
         failures: escape_markup(
-            html! { @for campaign in &shown { (failures_table(campaign, &filter)) } },
+            &html! { @for campaign in &shown { (failures_table(campaign, &filter)) } },
         ),
         coordinates,
         kinds: reader
@@ -148,11 +149,6 @@ fn grid_parameter(
             .cloned()
             .unwrap_or_default()),
     }
-}
-
-/// Escapes control and bidirectional characters in markup, which names can contain.
-fn escape_markup(markup: Markup) -> String {
-    TerminalLines(&markup.into_string()).to_string()
 }
 
 pub(crate) struct EvaluationFilter<'a> {

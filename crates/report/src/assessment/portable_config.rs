@@ -52,7 +52,7 @@ impl AssessmentPlan {
     fn files_outside_report(&self, proofs: &Proofs) -> Vec<String> {
         let controllers = self
             .controllers_outside_report()
-            .map(|name| format!("the controller `{name}`"));
+            .map(|name| format!("the controller `{name}` with its files"));
         let drives = self.config.drives.as_deref().map(|folder| {
             let name = folder_name(folder);
             format!("the recorded drives, as the folder `{}`", name.display())
@@ -77,7 +77,7 @@ impl AssessmentPlan {
         let mut controllers = self
             .controllers
             .iter()
-            .map(portable_name)
+            .map(|controller| self.portable_name(controller))
             .collect::<Vec<_>>();
         let subject = controllers.get(self.subject_index).cloned();
         let mut seen: Vec<String> = Vec::new();
@@ -126,10 +126,24 @@ impl AssessmentPlan {
         Some(files.map(PathBuf::from).collect())
     }
 
+    /// Returns the name with which a configuration in the report folder opens a controller. One that must be copied
+    /// there has its file name, unless another one has the same.
+    fn portable_name(&self, controller: &NamedController) -> String {
+        if let Some(arg) = controller_arg(&*controller.source) {
+            return arg;
+        }
+        let copied = copied_name(controller);
+        let mut others = self.controllers.iter();
+        match others.any(|other| other.name != controller.name && copied_name(other) == copied) {
+            true => controller.name.clone(),
+            false => copied,
+        }
+    }
+
     fn make_controller_portable(&self, name: &mut String) {
         let mut controllers = self.controllers.iter();
         if let Some(controller) = controllers.find(|controller| controller.name == *name) {
-            *name = portable_name(controller);
+            *name = self.portable_name(controller);
         }
     }
 
@@ -204,9 +218,21 @@ impl PlannedSuite {
     }
 }
 
-/// Returns the name with which a configuration in the report folder opens a controller.
-fn portable_name(controller: &NamedController) -> String {
-    controller_arg(&*controller.source).unwrap_or_else(|| controller.name.clone())
+/// Returns the name of a controller file after its copy into the report folder: the file name, behind the settings of a
+/// shield. Commands keep their names.
+fn copied_name(controller: &NamedController) -> String {
+    let name = controller.name.as_str();
+    let shield = controller
+        .source
+        .as_shield()
+        .map_or_else(String::new, |shield| shield.settings.name_prefix());
+    match name.strip_prefix(&shield) {
+        Some(inner) if !inner.starts_with("exec:") => {
+            let file = folder_name(Path::new(inner));
+            format!("{shield}{}", file.display())
+        }
+        _ => name.to_owned(),
+    }
 }
 
 fn space_args(spaces: &[NamedSpace]) -> Vec<String> {

@@ -5,7 +5,9 @@ use crumple_suites::{
     SweepFailure, TestParameter, TestParameters, TestVerdict, WarningOrigin, WorstInTolerance,
 };
 
-pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
+/// Describes the verdict of a test or of a point.
+#[must_use]
+pub fn describe_verdict(verdict: &TestVerdict) -> String {
     match verdict {
         TestVerdict::Passed => "PASSED".to_owned(),
         TestVerdict::Failed {
@@ -35,7 +37,8 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
 }
 
 /// Describes a test. One that passes at every stated point fails if the search within the clause fails.
-pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
+#[must_use]
+pub fn describe_outcome(tested: &ControllerResult) -> String {
     match &tested.worst_in_tolerance {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
             let verdict = describe_verdict(&within.verdict);
@@ -48,7 +51,8 @@ pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
 }
 
 /// Returns the number of passed points; empty if the test cannot be run.
-pub(super) fn format_points(tested: &ControllerResult) -> String {
+#[must_use]
+pub fn format_points(tested: &ControllerResult) -> String {
     if tested.points == 0 {
         String::new()
     } else {
@@ -64,7 +68,8 @@ pub(super) fn format_points(tested: &ControllerResult) -> String {
 }
 
 /// Describes the impact up to which a test passes nevertheless.
-pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
+#[must_use]
+pub fn describe_impact_limit(limit: &ImpactLimit) -> String {
     let ImpactLimit {
         value,
         unit,
@@ -78,7 +83,8 @@ pub(super) fn describe_impact_limit(limit: &ImpactLimit) -> String {
 }
 
 /// Describes the warning after which the driver brakes.
-pub(crate) fn describe_warning(warning: WarningOrigin) -> &'static str {
+#[must_use]
+pub fn describe_warning(warning: WarningOrigin) -> &'static str {
     match warning {
         WarningOrigin::Controller => "warning: reported by the controller",
         WarningOrigin::Reference => {
@@ -88,7 +94,8 @@ pub(crate) fn describe_warning(warning: WarningOrigin) -> &'static str {
 }
 
 /// Describes the parameters of a test: each with its values, unit and origin.
-pub(super) fn describe_parameters(parameters: &TestParameters) -> String {
+#[must_use]
+pub fn describe_parameters(parameters: &TestParameters) -> String {
     let all: Vec<String> = parameters
         .iter()
         .map(|(kind, figure)| format!("{} {}", kind.label(), describe_parameter(figure)))
@@ -113,7 +120,9 @@ fn describe_parameter(figure: &TestParameter) -> String {
     format!("{values}{tolerance} {}{chosen}", figure.unit)
 }
 
-pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
+/// Describes the worst point within the ranges and tolerances of a clause.
+#[must_use]
+pub fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
     let WorstInTolerance {
         point,
         verdict,
@@ -132,19 +141,40 @@ pub(crate) fn describe_worst_in_tolerance(within: &WorstInTolerance) -> String {
     )
 }
 
+/// The least margin in a direction.
+#[derive(Debug, Clone, Copy)]
+pub struct MinMargin<'m> {
+    /// Index among all margins of the test.
+    pub index: usize,
+    /// The margin.
+    pub margin: &'m Margin,
+    /// Number of margins in the direction.
+    pub count: usize,
+}
+
+impl MinMargin<'_> {
+    /// Describes the margin, and of how many it is the smallest.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        let margin = describe_margin(self.margin);
+        match self.count {
+            0 | 1 => margin,
+            count => format!("{margin} (the smallest of {count})"),
+        }
+    }
+}
+
 /// Describes the least margin in each direction, and the number of margins.
 pub(crate) fn describe_min_margins(margins: &[Margin]) -> Vec<String> {
     min_margins(margins)
-        .into_iter()
-        .map(|(least, count)| match count {
-            0 | 1 => describe_margin(least),
-            _ => format!("{} (the smallest of {count})", describe_margin(least)),
-        })
+        .iter()
+        .map(MinMargin::describe)
         .collect()
 }
 
-/// Returns the least margin in each direction, and the number of margins.
-pub(super) fn min_margins(margins: &[Margin]) -> Vec<(&Margin, usize)> {
+/// Returns the least margin in each direction.
+#[must_use]
+pub fn min_margins(margins: &[Margin]) -> Vec<MinMargin<'_>> {
     let mut directions: Vec<_> = margins
         .iter()
         .map(|margin| (margin.parameter, margin.to))
@@ -155,15 +185,21 @@ pub(super) fn min_margins(margins: &[Margin]) -> Vec<(&Margin, usize)> {
         .filter_map(|direction| {
             let along = margins
                 .iter()
-                .filter(|margin| (margin.parameter, margin.to) == direction);
-            let least = along.clone().reduce(|least, next| {
-                if passing_share(next) < passing_share(least) {
+                .enumerate()
+                .filter(|(_, margin)| (margin.parameter, margin.to) == direction);
+            let count = along.clone().count();
+            let (index, margin) = along.reduce(|least, next| {
+                if passing_share(next.1) < passing_share(least.1) {
                     next
                 } else {
                     least
                 }
-            });
-            Some((least?, along.count()))
+            })?;
+            Some(MinMargin {
+                index,
+                margin,
+                count,
+            })
         })
         .collect()
 }

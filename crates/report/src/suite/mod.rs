@@ -9,11 +9,11 @@ use std::fmt::Write;
 use crumple_core::quoting::TerminalText;
 use crumple_suites::{ControllerResult, FailedPoint, SuiteResult, TestResult};
 
-pub(crate) use description::{
-    describe_min_margins, describe_preventability, describe_verdict, describe_warning,
-    describe_worst_in_tolerance,
+pub use description::{
+    MinMargin, describe_impact_limit, describe_outcome, describe_parameters, describe_verdict,
+    describe_warning, describe_worst_in_tolerance, format_points, min_margins,
 };
-use description::{describe_outcome, describe_parameters};
+pub(crate) use description::{describe_min_margins, describe_preventability};
 pub use junit::render_junit;
 pub use table::render_markdown_table;
 
@@ -73,7 +73,7 @@ fn write_test(
         let _ = writeln!(out, "    {parameters}");
     }
     if let Some(limit) = &test.impact_at_most {
-        let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
+        let _ = writeln!(out, "    {}", describe_impact_limit(limit));
     }
     for tested in &test.controllers {
         write_controller_result(out, tested);
@@ -89,7 +89,7 @@ fn write_controller_result(out: &mut String, tested: &ControllerResult) {
         "    {}: {}{}",
         TerminalText(&tested.controller),
         TerminalText(&describe_outcome(tested)),
-        description::format_points(tested)
+        format_points(tested)
     );
     if let Some(warning) = tested.warning {
         let _ = writeln!(out, "      {}", describe_warning(warning));

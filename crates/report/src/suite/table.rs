@@ -104,14 +104,14 @@ fn format_cell(tested: &ControllerResult) -> String {
     }
     let margin = min_margins(&tested.margins)
         .first()
-        .map_or_else(String::new, |(margin, _)| {
+        .map_or_else(String::new, |least| {
             let Margin {
                 parameter,
                 unit,
                 to,
                 end,
                 ..
-            } = margin;
+            } = least.margin;
             let end = match end {
                 MarginEnd::None { .. } => "not at all".to_owned(),
                 MarginEnd::Holds { .. } => format!("to {to} {unit}"),

@@ -4,12 +4,13 @@ use maud::html;
 use serde::Serialize;
 
 use super::certificates::describe_estimator;
+use super::domain_followers::{describe_followers_of_claims, followers_of_claim};
 use super::summary::SubjectClaim;
 use super::{
     AssessmentLimits, ClaimSummary, FailureSearches, RecordedDrives, ScenarioCases,
     UsefulnessReport,
 };
-use crate::assessment::claims::{AssuranceClaim, Domain, InferenceRule, Property, Strength};
+use crate::assessment::claims::{AssuranceClaim, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::describe_followers;
 use crate::assessment::report_block::{ListStyle, ParagraphStyle, ReportBlock, TitledList};
@@ -48,6 +49,9 @@ pub struct FirstPage {
     pub speaks_for: Vec<String>,
     /// Assumptions of the assessment.
     pub assumed: Vec<&'static str>,
+    /// Drivers of the followers in the domains of the measured claims, as a sentence; empty without such claims.
+    #[serde(skip)]
+    followers: String,
 }
 
 const MAX_FAILURES_SHOWN: usize = 3;
@@ -82,6 +86,7 @@ impl FirstPage {
                 .iter()
                 .map(|limit| limit.assumed)
                 .collect(),
+            followers: describe_followers_of_claims(plan, summary.measured_claims()),
         }
     }
 
@@ -134,24 +139,11 @@ fn describe_support(plan: &AssessmentPlan, subject_claim: &SubjectClaim<'_>) -> 
     )
 }
 
-/// Names the drivers of the followers in brackets after a claim about collisions or failures in a space; otherwise
-/// empty.
+/// Names the drivers of the followers in brackets after a claim about collisions or failures; otherwise empty.
 fn note_followers(plan: &AssessmentPlan, claim: &AssuranceClaim) -> String {
-    let is_about_collisions = matches!(
-        claim.property,
-        Property::NoCollision | Property::RateAtMost { .. } | Property::FailsLessOften { .. }
-    );
-    let space = match &claim.domain {
-        Domain::Draws { space, .. } | Domain::Space { space } | Domain::Search { space, .. } => {
-            Some(space).filter(|_| is_about_collisions)
-        }
-        _ => None,
-    };
-    space
-        .and_then(|space| plan.followers_in(space))
-        .map_or_else(String::new, |drivers| {
-            format!(" ({})", describe_followers(&drivers))
-        })
+    followers_of_claim(plan, claim).map_or_else(String::new, |drivers| {
+        format!(" ({})", describe_followers(&drivers))
+    })
 }
 
 fn ask_question(plan: &AssessmentPlan) -> String {
@@ -359,8 +351,8 @@ const COMPARISON_NOTE: &str = "Proved: a checked certificate. Bounded: a rate wi
     failure in these runs; others may fail. Refuted: runs that fail, or the distinct failures of a search. All \
     controllers run the same scenarios.";
 
-const BOTH_SIDES_NOTE: &str = "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further \
-    left is better.";
+const BOTH_SIDES_NOTE: &str = "Failures in dangerous scenarios and unnecessary braking in ordinary ones; further left \
+    is better.";
 
 const NO_RECORDED_DRIVES: &str = "No recorded drives were assessed (`--drives`): the counts hold in the stated spaces \
     only.";
@@ -412,7 +404,8 @@ impl FirstPageSection<'_> {
         let comparison = self.summary.comparison_table();
         if !comparison.is_empty() {
             out.table(comparison);
-            out.paragraph(COMPARISON_NOTE);
+            let note = format!("{} {COMPARISON_NOTE}", self.page.followers);
+            out.paragraph(note.trim_start());
         }
         if let Some(usefulness) = self.usefulness {
             out.table(usefulness.both_sides_table());
@@ -443,7 +436,8 @@ impl FirstPageSection<'_> {
             return;
         };
         let figure = html! { (usefulness.figure("both-sides")) };
-        let figure = ReportBlock::Figure(figure, Some(BOTH_SIDES_NOTE.into()));
+        let note = format!("{BOTH_SIDES_NOTE} {}.", usefulness.describe_followers());
+        let figure = ReportBlock::Figure(figure, Some(note.into()));
         out.titled("Safety and usefulness of each controller", figure);
     }
 

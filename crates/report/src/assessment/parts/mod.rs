@@ -9,6 +9,7 @@ mod certificate_subject;
 mod certificates;
 mod comparison;
 mod distinct_failure;
+mod domain_followers;
 mod everyday_drives;
 mod failure_search;
 mod failure_searches;

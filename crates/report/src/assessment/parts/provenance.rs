@@ -144,7 +144,7 @@ impl AssessmentProvenance {
                 self.repeat_command.clone(),
             ),
             (
-                "to repeat, first copy into this folder",
+                "to repeat, first copy into this folder, each with its files",
                 self.absent_controllers.join(", "),
             ),
             ("scenarios from files", files.join(", ")),

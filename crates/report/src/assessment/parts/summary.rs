@@ -97,6 +97,13 @@ impl ClaimSummary {
         claims.collect()
     }
 
+    /// Returns the measured claims about any controller, one for each row.
+    pub(super) fn measured_claims(&self) -> impl Iterator<Item = &AssuranceClaim> {
+        self.claims
+            .iter()
+            .filter_map(|row| row.claims.iter().flatten().find(|claim| is_measured(claim)))
+    }
+
     /// Returns the table of all claims: the main controllers first, then the others.
     fn table(&self) -> ReportTable {
         // The sort is stable: within both groups the order stays.

@@ -356,7 +356,8 @@ impl UsefulnessReport {
         )
     }
 
-    fn describe_followers(&self) -> String {
+    /// Names the drivers of the followers in both spaces, as a sentence without a full stop.
+    pub(super) fn describe_followers(&self) -> String {
         let described = EVERYDAY_SPACES.into_iter().zip(&self.followers);
         let described: Vec<_> = described
             .map(|(space, drivers)| format!("`{space}`, {}", describe_followers(drivers)))
