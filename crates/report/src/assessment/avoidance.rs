@@ -102,7 +102,7 @@ impl RoundedAvoidance {
                     .map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
                 let replay = escape_survives_multi_body.map_or("", |survives| match survives {
                     true => " With the multi-body plant, this escape has no collision either.",
-                    false => " With the multi-body plant, this escape COLLIDES.",
+                    false => " With the multi-body plant, this escape collides.",
                 });
                 format!(
                     "Avoidable: smallest gap of the best escape found {escape_min_gap_m} m{}{}.{replay}",
@@ -220,6 +220,6 @@ impl CertifiedAvoidance {
 }
 
 pub(super) const REGRET_EXPLANATION: &str = "The best escape found is a simulated acceleration profile of the vehicles \
-    under test from convex programming with knowledge of the future, on steps of 0.1 s or finer. The bound holds for \
-    every driver, and the checker has accepted its proof where the text says so; `avoid --bound-certificate` also \
-    writes it.";
+    under test from convex programming with knowledge of the future, on steps of 0.1 s or finer. Avoidable: by such a \
+    profile of point masses. \"No driver keeps more than\" states a bound for every driver; where the text says \
+    \"proved\", the checker has accepted its proof. `avoid --bound-certificate` also writes it.";

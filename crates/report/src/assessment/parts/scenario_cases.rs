@@ -93,9 +93,9 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
     }
 }
 
-pub(super) const LEVEL_NOTE: &str = "Level: only for followers whose emergency brake fires at a time to collision \
-    below 1.4 s, and whose acceleration before is within 0.3 m/s². As long as the leader brakes at most at the level, \
-    a plan avoids a collision on both sides.";
+pub(super) const LEVEL_NOTE: &str = "Level: as long as the leader brakes at most at the level, a plan avoids a \
+    collision on both sides. The level holds only for followers whose emergency brake fires at a time to collision \
+    below 1.4 s, and whose acceleration before that is between -0.3 and 0.3 m/s².";
 
 impl ScenarioCases {
     pub(in crate::assessment) fn new(
