@@ -31,10 +31,10 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
     );
     page.heading(2, "Collisions with each kind of follower");
     page.paragraph(format!(
-        "The scenarios are the first {} random ones of the space `{SPACE}` (seed {SEED}), which has the emergencies of \
-         `high-risk`. Each is simulated with every kind of follower (defined in `driver.md`). Cells have two shares in percent: the \
-         vehicle first hits its leader / the follower first hits the vehicle. A drive in which the controller gives no \
-         answer counts as a hit of the leader.",
+        "The scenarios are the first {} random ones of the space `{SPACE}` (seed {SEED}), which has the emergencies \
+         of `high-risk`. Each is simulated with every kind of follower (defined in `driver.md`). Cells have two \
+         shares in percent: the vehicle first hits its leader / the follower first hits the vehicle. A drive in which \
+         the controller gives no answer counts as a hit of the leader.",
         config.draws
     ));
     page.plain_table(

@@ -23,10 +23,10 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     text.paragraph(DISCLAIMER);
     text.paragraph(
         "✓: every point of the grid passes, and a search within the tolerances of the document found no failure; ✗: \
-         a point of the grid or of the search fails; –: refused, because the test needs more than one lane, or because a shield has no \
-         guarantee in it. Then the number of passed points. If a point fails, the highest impact speed follows. Otherwise, the \
-         parameter follows that makes the test harder (the first one of the test), with the value up to which the \
-         controller passes.",
+         a point of the grid or of the search fails; –: refused, because the test needs more than one lane, or because \
+         a shield has no guarantee in it. Then the number of passed points. If a point fails, the highest impact speed \
+         follows. Otherwise, the parameter follows that makes the test harder (the first one of the test), with the \
+         value up to which the controller passes.",
     );
     let Some((_, _, first)) = tests.first() else {
         return text.into_string();
