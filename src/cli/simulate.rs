@@ -35,10 +35,11 @@ the full text.
 A formula of --spec is evaluated as by `crumple falsify`: on a simulation that continues after collisions, whatever \
 --after-collision says. Negative robustness means violated.
 
-Braking is unnecessary if it is, for 0.2 s, more than 2 m/s² harder than each of three: that of the Intelligent Driver \
-Model at the true state, that which avoids a collision, and that of the leader. A vehicle falls behind if its leader \
-still drives at the end, and the vehicle has less than half the leader's speed, or a gap above both the initial gap \
-and 20 m plus 6 s times the leader's speed (docs/glossary.md).
+Braking is unnecessary if it is, for 0.2 s and above 3 m/s, more than 2 m/s² harder than the largest of these \
+decelerations within the last 0.5 s: that of the Intelligent Driver Model at the true state, that which avoids the \
+leader, and, within a time gap of 3 s, that of the leader. A vehicle falls behind if its leader still drives at the \
+end, and the vehicle has less than half the leader's speed, or a gap above both the initial gap and 20 m plus 6 s \
+times the leader's speed (docs/glossary.md).
 
 A scenario file may have 8 MiB of JSON or 3 MiB of TOML, 1000 vehicles, and 5 million vehicle-steps, whose trace takes \
 120 MB. A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); a \

@@ -233,7 +233,7 @@ fn names_prove_nothing() {
     let words = &rows[1].claim;
     assert!(
         words.contains(
-            "harder than 0.1 m/s², while its estimation error stays within the bounds of the shield"
+            "harder than 0.1 m/s², while the estimation error of the controller stays within the bounds of the shield"
         ),
         "{words}"
     );

@@ -58,7 +58,7 @@ pub struct MethodRuns {
     pub runs: Vec<FirstFailure>,
 }
 
-/// Comparison of two methods on the same seeds. The four tests of all pairs share one correction of Holm.
+/// Comparison of two methods on the same seeds. The tests of all pairs share one correction of Holm.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodPair {
     /// Names of both methods.

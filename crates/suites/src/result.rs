@@ -18,7 +18,7 @@ use crumple_search::falsify::counterexample::Avoidability;
 
 /// Statement that goes with every result.
 pub const DISCLAIMER: &str =
-    "Modelled on the document, for point masses in one lane. This is no certification.";
+    "Modelled on a regulation or protocol, for point masses in one lane. This is no certification.";
 
 /// Result of a suite. Reading its JSON returns the same result without the scenarios of failed points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

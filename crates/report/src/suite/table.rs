@@ -22,9 +22,11 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
     text.heading(1, "Suites modelled on regulations");
     text.paragraph(DISCLAIMER);
     text.paragraph(
-        "✓: every point of the grid passes, and no failure was found within the tolerances; ✗: some point fails; –: \
-         cannot be run. Then \
-         the number of passed points, and the fastest impact or the smallest margin in the first direction.",
+        "✓: every point of the grid passes, and a search within the tolerances of the document found no failure; ✗: \
+         a point of the grid or of the search fails; –: refused, because the test needs more than one lane, or because \
+         a shield has no guarantee in it. Then the number of passed points. If a point fails, the highest impact speed \
+         follows. Otherwise, the parameter follows that makes the test harder (the first one of the test), with the \
+         value up to which the controller passes.",
     );
     let Some((_, _, first)) = tests.first() else {
         return text.into_string();

@@ -42,20 +42,22 @@ impl InferenceRule {
                 "Evidence supports the claim with the same controller hash, estimator, property and domain."
             }
             Self::RefutedInPart => {
-                "A run that refutes a claim about every run of a part (random scenarios, points of a search, some of \
-                 the scenarios) refutes the claim about the whole."
+                "A run that refutes a claim about a part of a domain (random scenarios, points of a search, some of \
+                 the scenarios) also refutes the claim about the whole domain."
             }
             Self::RefutedByWeaker => "A collision with the leader also refutes \"no collision\".",
             Self::ProofCovers => {
-                "A proof for a domain holds for its parts. A proof of \"no collision\" also holds for the leader."
+                "A proof for a domain holds for its parts. A proof of \"no collision\" also proves \"no collision \
+                 with the leader\"."
             }
             Self::ProofsOfParts => {
                 "Proofs for each of several scenarios prove the claim about all of them."
             }
             Self::BoundsDecide => {
                 "Bounds on a rate decide a claim about that rate: it holds, does not hold, or is undecided. Of several \
-                 counts, the one with the highest confidence level decides, then the one with the most runs, because \
-                 both were fixed before counting. A count that refutes the claim is always shown."
+                 counts, that with the highest confidence level decides; of several with this level, that with the \
+                 most runs. Level and number of runs were fixed before counting. A count that refutes the claim is \
+                 always shown."
             }
         }
     }

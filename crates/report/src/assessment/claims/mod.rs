@@ -336,7 +336,7 @@ impl AssuranceClaim {
                 if self.subject.estimator == EstimatorKind::Kalman =>
             {
                 format!(
-                    "{}, while its estimation error stays within the bounds of the shield",
+                    "{}, while the estimation error of the controller stays within the bounds of the shield",
                     self.domain.describe()
                 )
             }

@@ -443,7 +443,7 @@ impl Strength {
                 format!("0 of {runs} fail, {undecided} undecided")
             }
             Self::Gain { largest, points } => {
-                format!("largest gain {largest} of {points} operating points")
+                format!("largest gain {largest} at {points} operating points")
             }
             Self::Between { .. } | Self::Bounded { .. } | Self::Exceeded { .. } => {
                 self.describe_bounds()

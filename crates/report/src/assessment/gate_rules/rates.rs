@@ -185,7 +185,7 @@ fn compare_counts(
         .counted_pairs(controller, than, &named.content_id)?;
     let [own, other] = counted.only_one_failed;
     let reason = format!(
-        "of the same {} counted runs, only it fails in {own}, only the other in {other}",
+        "of the same {} counted runs, only {controller} fails in {own}, only {than} in {other}",
         counted.runs
     );
     Some(GateVerdict::new(own <= other, reason).with_value(own as f64 - other as f64))

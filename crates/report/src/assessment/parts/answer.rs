@@ -348,8 +348,9 @@ fn plain_text_list(heading: &str, lines: &[String]) -> String {
 }
 
 const COMPARISON_NOTE: &str = "Proved: a checked certificate. Bounded: a rate with its confidence level. Tested: no \
-    failure in these runs; others may fail. Refuted: runs that fail, or the distinct failures of a search. All \
-    controllers run the same scenarios.";
+    failure in these runs; others may fail. Refuted: runs that fail, distinct failures of a search, a lower bound of \
+    the failure rate, or the largest gain. All controllers run the same random scenarios. A search chooses its own for \
+    each controller, by several methods with the stated number of simulations each.";
 
 const BOTH_SIDES_NOTE: &str = "Failures in dangerous scenarios and unnecessary braking in ordinary ones; further left \
     is better.";
@@ -454,7 +455,7 @@ impl FirstPageSection<'_> {
 
     fn write_assumptions(&self, out: &mut ReportDocument) {
         let lines = self.page.assumed.iter().map(|&line| line.into()).collect();
-        out.heading("Assumptions");
+        out.heading("Assumptions and limits");
         out.push(ReportBlock::List(lines, ListStyle::Short));
     }
 }

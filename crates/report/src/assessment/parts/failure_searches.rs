@@ -187,14 +187,15 @@ const INTRODUCTION: &str = "A search looks for collisions; uniform points and a 
     Each failure is simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: \
     avoidable with the smallest gap of the best escape found, unavoidable if the checker accepted a proof, or \
     undecided. A counterexample shows that a failure is possible, not how often it occurs; its values may be unlikely. \
-    If no uniform point fails, the share has an upper bound at 95 % confidence. Columns `multi-body`: shares of \
-    failures that fail again, and of escapes without a collision, in a replay of vehicles with suspension, tyres, \
-    brake pressure and an anti-lock braking system, with the exact 95 % interval of independent samples.";
+    If no uniform point fails, brackets have an upper bound of the share that fails, at 95 % confidence. Columns \
+    `multi-body`: shares of failures that fail again, and of escapes without a collision, in a replay of vehicles with \
+    suspension, tyres, brake pressure and an anti-lock braking system. The 95 % intervals are exact for independent \
+    samples; failures of one search are not independent.";
 
 const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all \
     commands that show failures or escapes; the escape of `NAME.toml` is `NAME-escape.toml`. The folder \
-    `controllers` has copies of policies, networks, processes and FMUs. A process has none, and no commands, if it \
-    lists no `files`, or if its program is in its own folder.";
+    `controllers` has copies of policies, networks, processes and FMUs. There is no copy and no command \
+    of a process whose controller file lists no `files`, or whose program is in the folder of its controller file.";
 
 impl SpaceSearches {
     fn write(&self, out: &mut ReportDocument) {

@@ -102,8 +102,9 @@ const TERMS: [(&str, &str); 25] = [
     ),
     (
         "unnecessary braking",
-        "for 0.2 s, braking 2 m/s² harder than the Intelligent Driver Model at the true state, than the collision \
-         avoidance required, and than the leader braked",
+        "for 0.2 s and above 3 m/s, braking more than 2 m/s² harder than the largest of these decelerations within \
+         the last 0.5 s: that of the Intelligent Driver Model at the true state, that which avoids the leader, and, \
+         within a time gap of 3 s, that of the leader",
     ),
 ];
 

@@ -106,7 +106,7 @@ const GIVEN_COUNTS: LimitingAssumption = LimitingAssumption {
 };
 
 const PAPER: LimitingAssumption = LimitingAssumption {
-    assumed: "The paper leaves some values open",
+    assumed: "crumple chose values that the paper does not state",
     meaning: "crumple uses maximum accelerations of 3 m/s² and 1.5 m/s², masses of 1500 kg and 15 000 kg, three \
               middle vehicles in scenario 3, and reads N(36, 0.5) as a standard deviation. The follower's braking \
               is normal about the class value with 0.2 m/s²; heavy and light followers are equally likely.",

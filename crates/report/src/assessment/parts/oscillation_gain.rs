@@ -260,8 +260,8 @@ pub(super) fn gain_introduction() -> String {
         "Gain: vehicles with the controller follow each other, and their leader's speed oscillates with an amplitude \
          of {OSCILLATION_AMPLITUDE_MPS} m/s. The gain is the amplitude of a vehicle's speed divided by that of the \
          vehicle ahead, in steady oscillation and with the true state. Columns give the largest gain at each mean \
-         speed over {lowest} to {highest} rad/s, before refinement. Above 1.000, an oscillation grows from vehicle to \
-         vehicle."
+         speed on a grid of frequencies from {lowest} to {highest} rad/s. The column `all` also has finer points \
+         around the largest gain, and can be larger. Above 1.000, an oscillation grows from vehicle to vehicle."
     )
 }
 

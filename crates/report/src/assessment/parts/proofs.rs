@@ -219,11 +219,11 @@ impl Proofs {
 }
 
 const INTRODUCTION: &str = "The checker uses no code of the simulator, the search or the solver. A kernel certificate \
-    is about the safety kernel of a shield. A rate bounds the failure rate by counts of runs that were registered \
-    before the first one, and a comparison shows which of two controllers fails less often; `--rerun` repeats the \
-    counts. Reach is about all initial states of a box. A gap bound is about every driver of a scenario. No proof \
-    covers the vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel \
-    scale by its inverse.";
+    is about the safety kernel of a shield. A rate certificate bounds the failure rate by counted runs, whose seed and \
+    number were registered before the first run. A comparison shows which of two controllers fails less often. \
+    `--rerun` repeats the counts. Reach is about all initial states of a box. A gap bound is about every driver of a \
+    scenario. No proof covers the vehicle behind a shielded one, or usefulness. On a road with another friction the \
+    gaps of a kernel scale by its inverse.";
 
 impl ReportPart for Proofs {
     fn heading(&self) -> PartHeading {

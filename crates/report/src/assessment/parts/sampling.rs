@@ -342,7 +342,8 @@ impl SpaceSample {
     fn introduction(&self) -> String {
         format!(
             "All controllers run the same {} random scenarios of `{}` (seed {}), in which {}. Bounds are exact \
-             (Clopper–Pearson, {} %, each controller separately) and rounded outwards.",
+             (Clopper–Pearson, {} %, each controller separately) and rounded outwards. One side alone has half the \
+             probability of error: 97.5 % instead of 95 %.",
             self.random_scenarios,
             self.space.name,
             self.seed,

@@ -244,10 +244,11 @@ impl UsefulnessReport {
         format!(
             "A controller that stands still never collides, so the report also measures usefulness. Every controller \
              drives the same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as \
-             many of `high-risk`. {}. Columns without a space are about `traffic`. Braking is unnecessary if it is \
-             more than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would \
-             brake at the true state, than the collision avoidance required, and than the leader braked. Bounds are \
-             exact (Clopper–Pearson, {} %).",
+             many of `high-risk`. {}. Columns without a space are about `traffic`. Braking is unnecessary if \
+             it is more than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s and above 3 m/s, than the largest of \
+             these decelerations within the last 0.5 s: that of the Intelligent Driver Model at the true state, that \
+             which avoids the leader, and, within a time gap of 3 s, that of the leader. Bounds are exact \
+             (Clopper–Pearson, {} %).",
             self.random_scenarios,
             self.seed,
             self.describe_followers(),
@@ -313,12 +314,13 @@ impl UsefulnessReport {
     /// The main results of both sides, for the first page.
     pub(super) fn both_sides_table(&self) -> ReportTable {
         let hard = self.hard_braking_heading();
+        let failures = format!("failures in traffic (of {})", self.random_scenarios);
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 9] = [
             ("controller", &|useful| ReportCell::text(&useful.controller)),
             ("failures in high-risk (%)", &|useful| {
                 ReportCell::number(useful.high_risk_percent.observed)
             }),
-            ("failures in traffic", &|useful| {
+            (&failures, &|useful| {
                 ReportCell::with_verdict(useful.failures, useful.failures == 0)
             }),
             ("unnecessary braking in traffic (%)", &|useful| {
@@ -348,8 +350,9 @@ impl UsefulnessReport {
     pub(super) fn both_sides_note(&self) -> String {
         format!(
             "Counts are of {} random scenarios of each space (seed {}). {}. Hard: harder than {HARD_BRAKE_MPS2} m/s² \
-             where less than {EASY_BRAKE_MPS2} m/s² was required. Gain: growth of a speed oscillation from vehicle \
-             to vehicle, above 1 it grows.",
+             where less than {EASY_BRAKE_MPS2} m/s² was required. Gain: amplitude of a vehicle's speed divided by \
+             that of the vehicle ahead. Above 1, oscillations grow from vehicle to vehicle. A dash: no gain was found, \
+             for example because the vehicles do not settle.",
             self.random_scenarios,
             self.seed,
             self.describe_followers()
@@ -551,9 +554,10 @@ fn format_traffic_and_danger([traffic, danger]: [u64; 2]) -> String {
     format!("{traffic}, {danger}")
 }
 
-const SENSOR_CONDITIONS: &str = "Unnecessary braking per hour of `traffic`, with the exact interval of independent \
-    brakings at 95 %. Degraded sensors: latency 0.2 s, resolution 0.5 m, outages of 0.5 s, one per 2 s. Ghost: one \
-    standing object per drive, reported 20 m ahead for 0.5 s. A dash: the controller refuses sensor faults.";
+const SENSOR_CONDITIONS: &str = "Number of unnecessary brakings per hour of `traffic`. Brackets have the 95 % \
+    interval, which is exact if the brakings are independent. Degraded sensors: latency 0.2 s, resolution 0.5 m, \
+    outages of 0.5 s, one per 2 s. Ghost: one standing object per drive, reported 20 m ahead for 0.5 s. A dash: the \
+    controller refuses sensor faults.";
 
 impl ReportPart for UsefulnessReport {
     fn heading(&self) -> PartHeading {
