@@ -381,16 +381,52 @@ fn every_forged_pool_is_refused() {
 /// Checks the committed pools, and repeats some of their 10 000 blocks if this release made them.
 #[test]
 fn the_committed_pools_are_accepted() {
-    assert_accepted("baseline", 980_532, 1.0);
-    assert_accepted("road", 89_446, 0.1);
+    let pools = [
+        CommittedPool {
+            folder: "baseline",
+            seeds: 100,
+            runs: 1_000_000,
+            blocks: 10_000,
+            failures: 980_532,
+            rerun_percent: 1.0,
+        },
+        CommittedPool {
+            folder: "road",
+            seeds: 100,
+            runs: 1_000_000,
+            blocks: 10_000,
+            failures: 89_446,
+            rerun_percent: 0.1,
+        },
+        CommittedPool {
+            folder: "baseline-large",
+            seeds: 40,
+            runs: 40_000_000,
+            blocks: 40_000,
+            failures: 39_222_029,
+            rerun_percent: 0.01,
+        },
+    ];
+    pools.iter().for_each(assert_accepted);
 }
 
-/// `percent` of the blocks are simulated again.
-fn assert_accepted(folder: &str, failures: u64, percent: f64) {
+struct CommittedPool {
+    folder: &'static str,
+    seeds: u64,
+    runs: u64,
+    /// Blocks of runs in all certificates.
+    blocks: u64,
+    failures: u64,
+    /// Share of the blocks that are simulated again, in %.
+    rerun_percent: f64,
+}
+
+fn assert_accepted(committed: &CommittedPool) {
+    let folder = committed.folder;
     let mut pool =
         PoolCheck::new(WorkLimit::default(), Controllers::default()).with_rerun(Vec::new());
     let mut alone = Pool::default();
-    for seed in 0..100 {
+    for seed in 0..committed.seeds {
         let path = format!(
             "{}/corpora/pools/{folder}/seed-{seed:02}.json",
             env!("CARGO_MANIFEST_DIR")
@@ -408,12 +444,20 @@ fn assert_accepted(folder: &str, failures: u64, percent: f64) {
     }
     let claim = pool.conclude().unwrap().claim;
     assert_eq!(claim, alone.conclude(WorkLimit::default()).unwrap());
-    assert_eq!((claim.first_seed, claim.last_seed), (0, 99));
-    assert_eq!((claim.runs, claim.failures), (1_000_000, failures));
+    assert_eq!(
+        (claim.first_seed, claim.last_seed),
+        (0, committed.seeds - 1)
+    );
+    assert_eq!(
+        (claim.runs, claim.failures),
+        (committed.runs, committed.failures)
+    );
+    let percent = committed.rerun_percent;
     let sample = BlockSelection::Sample { percent, seed: 5 };
     if let Some(rerun) = pool.rerun() {
         let blocks = rerun.confirm(sample, &Quiet).unwrap().blocks;
-        assert_eq!(blocks as f64, 100.0 * percent);
+        let expected = committed.blocks as f64 * percent / 100.0;
+        assert_eq!(blocks as f64, expected.round());
     }
 }
 
