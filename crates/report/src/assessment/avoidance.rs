@@ -77,50 +77,12 @@ pub(super) fn serialize_rounded<S: Serializer>(
         .serialize(serializer)
 }
 
-<<<<<<< HEAD
 /// Returns how much smaller the smallest gap of a case is than that of the best escape found, from the rounded numbers.
 /// `None` without an escape, or if other vehicles collided first. Zero for a controller that beats the escape within
 /// its grid.
 pub(super) fn regret_m(report: &AvoidReport, case: &CaseResult) -> Option<Rounded<2>> {
     if !case.verdict.is_conclusive() {
         return None;
-=======
-    pub(super) fn describe(&self) -> String {
-        match self {
-            Self::Avoidable {
-                escape_min_gap_m,
-                min_gap_bound_m,
-                min_gap_bound_is_certified,
-                trigger_time_s,
-                escape_survives_multi_body,
-            } => {
-                let fires = trigger_time_s
-                    .map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
-                let by = if *min_gap_bound_is_certified {
-                    "proved"
-                } else {
-                    "computed, without a certificate"
-                };
-                let bound = min_gap_bound_m
-                    .map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
-                let replay = escape_survives_multi_body.map_or("", |survives| match survives {
-                    true => " With the multi-body plant, this escape has no collision either.",
-                    false => " With the multi-body plant, this escape collides.",
-                });
-                format!(
-                    "Avoidable: smallest gap of the best escape found {escape_min_gap_m} m{}{}.{replay}",
-                    fires.unwrap_or_default(),
-                    bound.unwrap_or_default()
-                )
-            }
-            Self::Unavoidable => {
-                "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned()
-            }
-            Self::Undecided { reason } => {
-                format!("Undecided if a driver could avoid the collision: {reason}.")
-            }
-        }
->>>>>>> 58de267ebc626cb415934724c2c37ce0cedde911
     }
     let escape_m = Rounded::<2>::down(report.escape_min_gap_m?);
     let regret_m = escape_m.value() - case.min_gap_m?.value();
@@ -156,7 +118,7 @@ fn describe_escape(report: &AvoidReport, gap_m: f64) -> String {
     let replay = match report.escape_survives_multi_body {
         None => "",
         Some(true) => " With the multi-body plant, this escape has no collision either.",
-        Some(false) => " With the multi-body plant, this escape COLLIDES.",
+        Some(false) => " With the multi-body plant, this escape collides.",
     };
     format!(
         "Avoidable: smallest gap of the best escape found {} m{}{}.{replay}",

@@ -101,7 +101,6 @@ pub(super) fn domain(scenarios: &[ScenarioCases], part: &str) -> Domain {
     }
 }
 
-<<<<<<< HEAD
 /// Explains the column of the level.
 pub(super) fn level_note() -> String {
     format!(
@@ -109,11 +108,6 @@ pub(super) fn level_note() -> String {
          collision on both sides."
     )
 }
-=======
-pub(super) const LEVEL_NOTE: &str = "Level: as long as the leader brakes at most at the level, a plan avoids a \
-    collision on both sides. The level holds only for followers whose emergency brake fires at a time to collision \
-    below 1.4 s, and whose acceleration before that is between -0.3 and 0.3 m/s².";
->>>>>>> 58de267ebc626cb415934724c2c37ce0cedde911
 
 impl ScenarioCases {
     pub(in crate::assessment) fn new(
