@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::certificates::describe_estimator;
 use super::summary::SubjectClaim;
 use super::{
-    AssessmentLimits, ClaimSummary, FailureSearches, RecordedDrives, ScenarioCases,
+    AssessmentLimits, ClaimSummary, FailureSearches, FollowerReport, RecordedDrives, ScenarioCases,
     UsefulnessReport,
 };
 use crate::assessment::claims::{AssuranceClaim, Domain, InferenceRule, Property, Strength};
@@ -374,6 +374,7 @@ pub(in crate::assessment) struct FirstPageSection<'a> {
     pub(in crate::assessment) summary: &'a ClaimSummary,
     pub(in crate::assessment) searches: &'a FailureSearches,
     pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
+    pub(in crate::assessment) followers: Option<&'a FollowerReport>,
     pub(in crate::assessment) recorded_drives: Option<&'a RecordedDrives>,
 }
 
@@ -417,6 +418,9 @@ impl FirstPageSection<'_> {
         if let Some(usefulness) = self.usefulness {
             out.table(usefulness.both_sides_table());
             out.paragraph(usefulness.both_sides_note());
+        }
+        if let Some(followers) = self.followers {
+            followers.write_first_page(out);
         }
         match self.recorded_drives {
             Some(drives) => {
