@@ -52,7 +52,8 @@ pub struct AssessConfig {
     /// Random scenarios of each of these spaces and, 200 at most, of each resample of a fitted space. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
-    /// Drives of each controller in the space `traffic`, and in `high-risk`; 0 omits usefulness. Default 200.
+    /// Drives of each controller in the space `traffic`, in `high-risk`, and with each of the seven kinds of follower
+    /// (on average) in `followers` and in `everyday`; 0 omits usefulness and kinds of follower. Default 200.
     #[serde(default = "default_everyday_draws")]
     pub everyday_draws: u64,
     /// Seed of the random scenarios. Default 0.
@@ -177,8 +178,19 @@ impl From<BrakeAfterCollision> for AfterCollision {
     }
 }
 
+/// The built-in space of everyday traffic.
+pub(super) const TRAFFIC_SPACE: &str = "traffic";
 /// The built-in spaces of everyday traffic and of dangerous scenarios.
-pub(super) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
+pub(super) const EVERYDAY_SPACES: [&str; 2] = [TRAFFIC_SPACE, "high-risk"];
+
+/// The built-in space of everyday driving with every kind of follower.
+pub(super) const EVERYDAY_SPACE: &str = "everyday";
+/// The built-in spaces with every kind of follower: emergencies, and everyday driving.
+pub(super) const FOLLOWER_SPACES: [&str; 2] = ["followers", EVERYDAY_SPACE];
+
+/// Largest share of drives in [`EVERYDAY_SPACE`], in percent, in which a controller may fall behind by the default
+/// gates.
+const MAX_LEFT_BEHIND_PERCENT: f64 = 5.0;
 
 /// Line of the built-in configuration in whose place the gates are listed.
 const GATES_LINE: &str = "#   GATES\n";
@@ -294,6 +306,11 @@ fn default_gates(controller: &str, than: &str) -> Vec<GateConfig> {
             controller: controller.to_owned(),
             than: than.to_owned(),
             space: None,
+        },
+        AssessmentGate::LeftBehindAtMost {
+            controller: controller.to_owned(),
+            percent: MAX_LEFT_BEHIND_PERCENT,
+            space: Some(EVERYDAY_SPACE.to_owned()),
         },
         AssessmentGate::ProofsAccepted {},
     ]

@@ -3,6 +3,12 @@
 use std::collections::BTreeSet;
 
 use crumple_sim::scenario::Scenario;
+use crumple_spaces::{ChoiceSpec, DistributionSpec, ParameterSpec, ScenarioSpace};
+
+/// End of the field of a parameter that chooses the kind of a follower.
+const FOLLOWER_FIELD: &str = ".follower";
+/// Kind of follower for which no vehicle follows.
+const NO_FOLLOWER: &str = "none";
 
 /// Returns the names of the drivers directly behind vehicles under test, in alphabetical order.
 pub(super) fn follower_drivers<'s>(
@@ -18,12 +24,45 @@ fn drivers_behind(scenario: &Scenario) -> impl Iterator<Item = String> {
     behind.map(|index| vehicles[index].driver.name().to_owned())
 }
 
+/// Returns the kinds of follower among which a space chooses, in its order; empty without such a parameter.
+pub(super) fn follower_kinds(space: &ScenarioSpace) -> Vec<String> {
+    let kinds = follower_parameter(space).and_then(|parameter| match &parameter.distribution {
+        DistributionSpec::Choice(ChoiceSpec { values, .. }) => {
+            Some(values.iter().map(ToString::to_string).collect())
+        }
+        _ => None,
+    });
+    kinds.unwrap_or_default()
+}
+
+fn follower_parameter(space: &ScenarioSpace) -> Option<&ParameterSpec> {
+    let mut parameters = space.spec().parameters.iter();
+    parameters.find(|parameter| parameter.field.ends_with(FOLLOWER_FIELD))
+}
+
+/// Returns the kind of follower of a random scenario; empty if the space has no such parameter.
+pub(super) fn follower_kind(space: &ScenarioSpace, seed: u64, index: u64) -> String {
+    let name = follower_parameter(space).map(|parameter| parameter.name.as_str());
+    let values = space.values(&space.draw_point(seed, index));
+    let mut parameters = space.coordinate_parameters().zip(values);
+    let kind = parameters.find(|(parameter, _)| Some(parameter.name()) == name);
+    kind.map_or_else(String::new, |(parameter, value)| {
+        parameter.format_value(value)
+    })
+}
+
 /// Describes followers in a sentence: "`baseline` drives the follower".
 pub(super) fn describe_followers(drivers: &[String]) -> String {
-    let names: Vec<_> = drivers.iter().map(|name| format!("`{name}`")).collect();
-    match names.as_slice() {
-        [] => "no vehicle follows, so no collision from behind can happen".to_owned(),
-        names => format!("{} drives the follower", names.join(" or ")),
+    let is_named = |name: &&String| *name != NO_FOLLOWER;
+    let names: Vec<_> = drivers
+        .iter()
+        .filter(is_named)
+        .map(|name| format!("`{name}`"))
+        .collect();
+    match (names.as_slice(), names.len() < drivers.len()) {
+        ([], _) => "no vehicle follows, so no collision from behind can happen".to_owned(),
+        (names, true) => format!("{} drives the follower, or there is none", names.join(", ")),
+        (names, false) => format!("{} drives the follower", names.join(" or ")),
     }
 }
 
@@ -47,6 +86,10 @@ mod tests {
         assert_eq!(
             described("traffic"),
             "`acc-aeb` or `idm` drives the follower"
+        );
+        assert_eq!(
+            describe_followers(&follower_kinds(&built_in_space("everyday").unwrap())),
+            "`baseline`, `human`, `idm`, `acc-aeb`, `late`, `weak` drives the follower, or there is none"
         );
         assert_eq!(
             described("alone"),

@@ -10,8 +10,10 @@ use serde_json::{Value, json};
 
 use super::AssessmentGate;
 use super::claims::{ContentId, Subject};
-use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION, EVERYDAY_SPACES};
-use super::followers::follower_drivers;
+use super::config::{
+    AssessConfig, AssessConfigError, CONFIG_VERSION, EVERYDAY_SPACES, FOLLOWER_SPACES,
+};
+use super::followers::{follower_drivers, follower_kinds};
 use super::gate_rules::{GateName, NameRole};
 use super::parts;
 use super::planned_suite::PlannedSuite;
@@ -200,6 +202,7 @@ impl AssessmentPlan {
     pub(super) fn all_spaces(&self) -> Vec<ScenarioSpace> {
         let everyday = EVERYDAY_SPACES
             .iter()
+            .chain(&FOLLOWER_SPACES)
             .filter(|_| self.config.everyday_draws > 0);
         let own = self
             .rate_spaces
@@ -214,11 +217,15 @@ impl AssessmentPlan {
         spaces
     }
 
-    /// Returns the drivers of the vehicles directly behind a vehicle under test in random scenarios of a space of this
-    /// assessment; `None` for another space, and if a scenario cannot be drawn.
+    /// Returns the kinds of follower of a space of this assessment, or the drivers of the vehicles directly behind a
+    /// vehicle under test in its random scenarios; `None` for another space, and if a scenario cannot be drawn.
     pub(super) fn followers_in(&self, space: &ContentId) -> Option<Vec<String>> {
         let spaces = self.all_spaces();
         let space = spaces.iter().find(|other| other.name() == space.name)?;
+        let kinds = follower_kinds(space);
+        if !kinds.is_empty() {
+            return Some(kinds);
+        }
         let scenarios: Vec<Scenario> = (0..FOLLOWER_DRAWS)
             .filter_map(|index| space.draw(self.config.seed, index).ok())
             .collect();

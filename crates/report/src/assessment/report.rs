@@ -151,6 +151,7 @@ impl AssessmentReport {
             summary: &self.summary,
             searches: &self.results.searches,
             usefulness: self.results.usefulness.as_ref(),
+            followers: self.results.followers.as_ref(),
             recorded_drives: self.results.recorded_drives.as_ref(),
         }
     }

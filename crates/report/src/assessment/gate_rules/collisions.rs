@@ -3,7 +3,7 @@
 use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict, is_in_space, require};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Domain, Property};
-use crate::assessment::config::EVERYDAY_SPACES;
+use crate::assessment::config::{EVERYDAY_SPACES, FOLLOWER_SPACES};
 use crate::assessment::parts::{FILE_SCENARIOS_ANCHOR, PAPER_ANCHOR};
 use crate::assessment::{AssessConfig, RunEnds, ScenarioCases};
 
@@ -102,8 +102,8 @@ pub(super) fn in_space<'a>(
     })
 }
 
-/// Evaluates the random scenarios of `distributions`, or the drives in `traffic` or `high-risk`. Both use the same
-/// seed: the larger sample contains the smaller one.
+/// Evaluates the random scenarios of `distributions`, or the drives in `traffic`, `high-risk`, `followers` or
+/// `everyday`. All use the same seed: the larger sample contains the smaller one.
 fn check_no_collision_in_space(
     inputs: &GateInputs<'_>,
     controller: &str,
@@ -111,10 +111,16 @@ fn check_no_collision_in_space(
 ) -> GateVerdict {
     let usefulness = inputs.results.usefulness.as_ref();
     let everyday = usefulness.and_then(|report| report.space_ends(controller, space));
+    let followers = inputs.results.followers.as_ref();
+    let with_followers = followers.and_then(|report| {
+        let counts = &report.find_space(space)?.find(controller)?.all;
+        Some((counts.random_scenarios, counts.ends.clone()))
+    });
     let larger_sample = inputs
         .sampled_ends(controller, space)
         .into_iter()
         .chain(everyday)
+        .chain(with_followers)
         .max_by_key(|(scenarios, _)| *scenarios);
     match larger_sample {
         Some((scenarios @ 1.., ends)) => {
@@ -161,7 +167,7 @@ fn describe_ends(ends: &RunEnds, scenarios: u64) -> String {
 
 fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
     let is_drawn = config.rate_spaces().iter().any(|name| name == space);
-    let is_driven = EVERYDAY_SPACES.contains(&space);
+    let is_driven = EVERYDAY_SPACES.contains(&space) || FOLLOWER_SPACES.contains(&space);
     match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
         true => None,
         false if is_drawn => Some(("require", "needs `draws` above 0".to_owned())),
@@ -170,12 +176,15 @@ fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigP
             format!("needs `everyday_draws` above 0, or `{space}` in `distributions`"),
         )),
         false => {
-            let [traffic, high_risk] = EVERYDAY_SPACES;
+            let driven: Vec<_> = EVERYDAY_SPACES
+                .iter()
+                .chain(&FOLLOWER_SPACES)
+                .map(|name| format!("`{name}`"))
+                .collect();
+            let driven = driven.join(", ");
             Some((
                 "space",
-                format!(
-                    "`{space}` is neither among `distributions` nor `{traffic}` or `{high_risk}`"
-                ),
+                format!("`{space}` is neither among `distributions` nor one of {driven}"),
             ))
         }
     }

@@ -105,7 +105,8 @@ gate_table! {
     NoCollisionInSpace "no-collision-in-space" {
         /// Name of the controller.
         controller controller: String,
-        /// Scenario space: one of `distributions`, or `traffic` or `high-risk` if `everyday_draws` is above 0.
+        /// Scenario space: one of `distributions`, or `traffic`, `high-risk`, `followers` or `everyday` if
+        /// `everyday_draws` is above 0.
         space space: String,
     } collisions::in_space,
     /// The failure rate of a controller in a scenario space is at most this, by bounds on counted runs.
@@ -142,13 +143,20 @@ gate_table! {
         controller controller: String,
         /// Largest share that passes, in percent.
         number percent: f64,
+        /// Scenario space: `traffic` (the default) or `everyday`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        space space: Option<String>,
     } drives::unnecessary_braking_at_most,
-    /// A controller falls behind in at most this share of its drives in everyday traffic.
+    /// A controller falls behind in at most this share of its drives in everyday traffic: at the end it is slower than
+    /// half its leader's speed, or its gap is longer than at the start and than 20 m plus 6 s times the leader's speed.
     LeftBehindAtMost "left-behind-at-most" {
         /// Name of the controller.
         controller controller: String,
         /// Largest share that passes, in percent.
         number percent: f64,
+        /// Scenario space: `traffic` (the default) or `everyday`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        space space: Option<String>,
     } drives::left_behind_at_most,
     /// No speed oscillation grows from vehicle to vehicle in a line with a controller: the largest gain over all mean
     /// speeds and frequencies, rounded to three decimals, is at most 1.000. Before 0.4.0: in a single manoeuvre.

@@ -7,7 +7,7 @@ use super::certificates::describe_estimator;
 use super::domain_followers::{describe_followers_of_claims, followers_of_claim};
 use super::summary::SubjectClaim;
 use super::{
-    AssessmentLimits, ClaimSummary, FailureSearches, RecordedDrives, ScenarioCases,
+    AssessmentLimits, ClaimSummary, FailureSearches, FollowerReport, RecordedDrives, ScenarioCases,
     UsefulnessReport,
 };
 use crate::assessment::claims::{AssuranceClaim, InferenceRule, Property, Strength};
@@ -367,6 +367,7 @@ pub(in crate::assessment) struct FirstPageSection<'a> {
     pub(in crate::assessment) summary: &'a ClaimSummary,
     pub(in crate::assessment) searches: &'a FailureSearches,
     pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
+    pub(in crate::assessment) followers: Option<&'a FollowerReport>,
     pub(in crate::assessment) recorded_drives: Option<&'a RecordedDrives>,
 }
 
@@ -411,6 +412,9 @@ impl FirstPageSection<'_> {
         if let Some(usefulness) = self.usefulness {
             out.table(usefulness.both_sides_table());
             out.paragraph(usefulness.both_sides_note());
+        }
+        if let Some(followers) = self.followers {
+            followers.write_first_page(out);
         }
         match self.recorded_drives {
             Some(drives) => {

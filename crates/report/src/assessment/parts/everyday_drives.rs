@@ -87,6 +87,19 @@ pub(super) fn braking_rates(
     Ok(rates)
 }
 
+impl EverydayDrive {
+    pub(super) fn verdict(&self) -> &CaseVerdict {
+        &self.verdict
+    }
+
+    /// Returns the measures of a drive in which the controller answered. Others are no evidence about driving or
+    /// keeping up.
+    pub(super) fn answered_measures(&self) -> Option<UsefulnessMeasures> {
+        let is_answered = !matches!(self.verdict, CaseVerdict::ControllerFailed { .. });
+        self.usefulness.filter(|_| is_answered)
+    }
+}
+
 impl BrakingRate {
     fn new(sensors: &str, drives: &[EverydayDrive]) -> Self {
         let count = drives
@@ -196,15 +209,13 @@ impl SpaceBraking {
     }
 }
 
-/// Measures of the drives in which the controller answered. Others are no evidence about driving or keeping up.
+/// Measures of the drives in which the controller answered.
 struct AnsweredDrives(Vec<UsefulnessMeasures>);
 
 impl AnsweredDrives {
     fn new(drives: &[EverydayDrive]) -> Self {
-        let answered = drives
-            .iter()
-            .filter(|drive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. }));
-        Self(answered.filter_map(|drive| drive.usefulness).collect())
+        let answered = drives.iter().filter_map(EverydayDrive::answered_measures);
+        Self(answered.collect())
     }
 
     fn count(&self, condition: impl Fn(&UsefulnessMeasures) -> bool) -> u64 {

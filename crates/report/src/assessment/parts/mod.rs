@@ -14,6 +14,7 @@ mod everyday_drives;
 mod failure_search;
 mod failure_searches;
 mod file_scenarios;
+mod follower_kinds;
 mod glossary;
 mod harm;
 #[cfg(test)]
@@ -47,6 +48,7 @@ pub use failure_search::FailureSearch;
 pub use failure_searches::{FailureSearches, SpaceSearches};
 pub use file_scenarios::FileScenarios;
 pub(super) use file_scenarios::{ANCHOR as FILE_SCENARIOS_ANCHOR, SCENARIO_FOLDER, scenario_path};
+pub use follower_kinds::{ControllerFollowers, FollowerReport, FollowerSpace, KindCounts};
 pub use glossary::Glossary;
 pub(super) use harm::HARM_RUNS_FILE;
 pub use harm::{ACTIVATION_MPS2, ControllerHarm, HarmGroup, HarmReport};
@@ -129,6 +131,8 @@ gathered_results! {
     FailureSearches => searches: FailureSearches,
     /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
     UsefulnessReport => usefulness: Option<UsefulnessReport>,
+    /// Every controller by kind of follower; absent if the plan makes no such drives.
+    FollowerReport => followers: Option<FollowerReport>,
     /// Every controller on recorded drives; absent if the configuration names none.
     #[serde(skip_serializing_if = "Option::is_none")]
     RecordedDrives => recorded_drives: Option<RecordedDrives>,

@@ -142,7 +142,7 @@ fn other_spaces(plan: &AssessmentPlan) -> impl Iterator<Item = &NamedSpace> {
         .filter(|named| !EVERYDAY_SPACES.contains(&named.space.name()))
 }
 
-fn space_id(space: &ScenarioSpace) -> Result<ContentId, CacheError> {
+pub(super) fn space_id(space: &ScenarioSpace) -> Result<ContentId, CacheError> {
     let text = space_file::to_identity_toml(space).map_err(CacheError::encoding)?;
     Ok(ContentId::new(space.name(), text))
 }
@@ -535,7 +535,7 @@ impl ControllerUsefulness {
     }
 }
 
-fn drive_each(
+pub(super) fn drive_each(
     scenarios: &[Scenario],
     options: &RunOptions,
     work: &GatherContext<'_>,
