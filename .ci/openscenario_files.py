@@ -19,6 +19,8 @@ SOURCES = {
         "logical_scenarios/concrete_scenarios",
     ),
 }
+# Vehicle under test of files in which another vehicle has the only controller.
+UNDER_TEST = {"cut-in_sloppy": "Ego"}
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "exchange.md"
 BEGIN, END = "<!-- table of files: begin -->", "<!-- table of files: end -->"
 
@@ -57,6 +59,11 @@ def outcome(crumple, path):
         first, count = attempt(crumple, path.parent / scenario, "--distribution", path)
         if not first:
             return True, f"imported as {count} variations of `{scenario}`"
+    elif path.stem in UNDER_TEST:
+        name = UNDER_TEST[path.stem]
+        first, _ = attempt(crumple, path, "--ego", name)
+        if not first:
+            return True, f"imported with `--ego {name}`"
     else:
         first, _ = attempt(crumple, path)
     if not first:

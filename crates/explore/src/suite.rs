@@ -368,7 +368,7 @@ impl<'c> ChosenTest<'c> {
         let failed = tested.failures().nth(index).ok_or_else(no_such_point)?;
         let verdict = describe_verdict(&failed.verdict);
         Ok(TestScenario::new(
-            failed.scenario.clone(),
+            failed.scenario.clone().ok_or_else(no_such_point)?,
             self.controller,
             failed.test_driver.clone(),
             &format!("In the suite: {verdict}."),

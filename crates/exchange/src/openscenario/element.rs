@@ -119,6 +119,12 @@ impl<'a> StoryElement<'a> {
         }
     }
 
+    /// Returns true for an action that activates the controller of an entity.
+    pub(super) fn activates(&self, entity: usize) -> bool {
+        let activates = matches!(self.action.as_deref(), Some(StoryAction::Activate));
+        activates && self.actors.contains(&entity)
+    }
+
     /// Returns true if no execution is left.
     pub(super) fn is_exhausted(&self) -> bool {
         self.executions >= self.max_executions

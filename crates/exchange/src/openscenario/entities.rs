@@ -19,6 +19,9 @@ pub(super) const MAX_LIMIT_MPS2: f64 = 30.0;
 /// Largest acceleration by which a tool states that there is no limit, in m/s².
 const UNLIMITED_MPS2: f64 = 1000.0;
 
+/// Largest angle of a body that is along the lane, in radians.
+const ALONG_RAD: f64 = 1e-3;
+
 /// An entity of the file.
 #[derive(Debug)]
 pub(super) struct Entity<'a> {
@@ -31,6 +34,8 @@ pub(super) struct Entity<'a> {
     pub(super) front_m: f64,
     /// True for a body that stands and may have any direction.
     pub(super) is_obstacle: bool,
+    /// True for a body that may have any direction, and may walk across the lanes.
+    pub(super) is_pedestrian: bool,
     pub(super) mass_kg: Option<f64>,
     pub(super) max_speed_mps: f64,
     pub(super) max_brake_mps2: Option<f64>,
@@ -55,18 +60,36 @@ struct BodyLocations {
     performance: Option<ElementLocation>,
 }
 
+impl BodyLocations {
+    fn new(body: Node<'_>, center: Node<'_>, dimensions: Node<'_>) -> Self {
+        Self {
+            body: body.location(),
+            center: center.location(),
+            dimensions: dimensions.location(),
+            performance: body.optional("Performance").map(Node::location),
+        }
+    }
+}
+
 impl Entity<'_> {
     /// Turns the body by an angle: its length and width become those of the box around it along the lane.
     pub(super) fn turn(&mut self, angle_rad: f64) {
-        if angle_rad == 0.0 {
+        let [cosine, sine] = [libm::cos(angle_rad), libm::sin(angle_rad)];
+        if sine.abs() < ALONG_RAD && cosine > 0.0 {
             return;
         }
-        let [cosine, sine] = [libm::cos(angle_rad), libm::sin(angle_rad)];
         let middle_m = (self.front_m - self.length_m / 2.0) * cosine;
         let [length_m, width_m] = [self.length_m, self.width_m];
         self.length_m = length_m * cosine.abs() + width_m * sine.abs();
         self.width_m = length_m * sine.abs() + width_m * cosine.abs();
         self.front_m = middle_m + self.length_m / 2.0;
+    }
+
+    /// Returns the name of a controller that crumple does not know.
+    pub(super) fn unknown_controller(&self) -> Option<&str> {
+        let controller = self.controller.as_ref();
+        let unknown = controller.filter(|controller| controller.stated_driver().is_none());
+        unknown.map(|controller| controller.name.as_str())
     }
 
     /// Reads a controller, or that of the catalogue entry to which the element refers, and assigns it.
@@ -331,6 +354,7 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         width_m: dimensions.non_negative("width")?,
         front_m: center.number("x")? + length_m / 2.0,
         is_obstacle: body.name() == "MiscObject",
+        is_pedestrian: body.name() == "Pedestrian",
         mass_kg: body.optional_number("mass")?,
         max_speed_mps: f64::INFINITY,
         max_brake_mps2: None,
@@ -340,12 +364,7 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
         controller: None,
         stated_driver: None,
         notes: Vec::new(),
-        locations: BodyLocations {
-            body: body.location(),
-            center: center.location(),
-            dimensions: dimensions.location(),
-            performance: body.optional("Performance").map(Node::location),
-        },
+        locations: BodyLocations::new(body, center, dimensions),
     };
     if body.name() == "Vehicle" {
         entity.read_performance(body.child("Performance")?)?;
@@ -460,10 +479,8 @@ pub(super) fn assign_drivers(
             None => Ok(None),
             Some(controller) => match controller.stated_driver() {
                 Some(driver) => Ok(Some(driver)),
-                None if ego.is_some() => Err(entity.node.refuse(format!(
-                    "`{}` has the controller `{}`, which is none of crumple's",
-                    entity.name, controller.name
-                ))),
+                // The default controller does its actions.
+                None if ego.is_some() => Ok(None),
                 None if controlled == 1 => Ok(Some(Driver::UnderTest)),
                 None => Err(node.refuse(format!(
                     "{controlled} entities have a controller: name the vehicle under test with --ego"

@@ -6,7 +6,7 @@ use super::error::ScenarioImportError;
 use super::limits::{
     MAX_ENVIRONMENTS, MAX_INITIAL_ACTIONS, WORK_PER_INITIAL_SPEED, WorkBudget, ensure_at_most,
 };
-use super::place::{PlacePurpose, resolve_place};
+use super::place::{PlacePurpose, resolve_place, stated_angle_rad};
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
 use super::storyboard::{SpeedAction, StoryAction, entity_index, read_speed};
@@ -115,8 +115,8 @@ pub(super) fn read_initial<'a>(
         }
     }
     let positions = actions.positions();
-    state.turned_rad = turned_bodies(&positions, entities)?;
     state.places = resolve_places(init, &positions, entities, roads)?;
+    state.turned_rad = turned_bodies(&positions, &state.places, entities, roads)?;
     if let Some(lane_place) = state.places.first() {
         let road = roads.find(init, Some(&lane_place.road), [0.0; 2])?;
         state.notes.extend(road.notes.iter().cloned());
@@ -162,6 +162,7 @@ impl StartPosition<'_> {
     fn purpose_for(&self, body: Option<&Entity<'_>>) -> PlacePurpose {
         match body {
             Some(body) if body.is_obstacle => PlacePurpose::Obstacle,
+            Some(body) if body.is_pedestrian => PlacePurpose::Pedestrian,
             _ => self.purpose,
         }
     }
@@ -408,17 +409,18 @@ fn check_same_road(places: &[LanePlace], positions: &[Option<StartPosition<'_>>]
     }
 }
 
-/// Returns the angles by which obstacles are turned.
+/// Returns the angles by which obstacles and pedestrians are turned from the direction of travel.
 fn turned_bodies(
     positions: &[Option<StartPosition<'_>>],
+    places: &[LanePlace],
     entities: &[Entity<'_>],
+    roads: &RoadMap<'_>,
 ) -> Result<Vec<f64>> {
-    let bodies = positions.iter().zip(entities);
+    let bodies = positions.iter().zip(places).zip(entities);
     bodies
-        .map(|(position, body)| match position {
-            Some(StartPosition { node, .. }) if body.is_obstacle => {
-                let orientation = node.optional("Orientation").unwrap_or(*node);
-                Ok(orientation.optional_number("h")?.unwrap_or(0.0))
+        .map(|((position, lane_place), body)| match position {
+            Some(StartPosition { node, .. }) if body.is_obstacle || body.is_pedestrian => {
+                stated_angle_rad(*node, lane_place, roads)
             }
             _ => Ok(0.0),
         })

@@ -9,7 +9,7 @@ use super::element::{ElementState, ElementTransition, TransitionMark};
 use super::error::ScenarioImportError;
 use super::limits::ConditionCount;
 use super::limits::MAX_DURATION_S;
-use super::replay::{REPLAY_STEP_S, Replay};
+use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::storyboard::StoryAction;
 use super::trigger::{Firing, Trigger};
 use super::vocabulary::{ElementKind, Priority};
@@ -539,35 +539,40 @@ impl<'a> Replay<'a, '_> {
         action: &StoryAction<'a>,
         at: Firing,
     ) -> Result<Option<ActionGoal>> {
-        let is_controlled = self.is_controlled(actor);
         match action {
             StoryAction::LaneChange(change) => self.change_lane(change, actor, at).map(Some),
             StoryAction::LaneOffset(offset) => self.change_offset(offset, actor, at).map(Some),
             StoryAction::Route(route) => self.follow_route(*route, actor).map(|()| None),
-            StoryAction::Trajectory(line) if !is_controlled && !line.is_timed() => {
+            StoryAction::Trajectory(line) if !line.is_timed() => {
                 self.follow_line(line, actor, at).map(Some)
             }
-            StoryAction::Speed(_) | StoryAction::SpeedProfile(_) | StoryAction::Trajectory(_)
-                if !is_controlled =>
-            {
+            StoryAction::Speed(_) | StoryAction::SpeedProfile(_) | StoryAction::Trajectory(_) => {
                 let end_s = self.change_plan(node, actor, action, at)?;
                 Ok(Some(ActionGoal::Time(end_s)))
             }
-            StoryAction::Speed(_) | StoryAction::SpeedProfile(_) | StoryAction::Trajectory(_) => {
-                if let Some(motion) = self.motion.get_mut(actor) {
-                    motion.actions.push((at.time_s, node));
-                }
-                Ok(None)
-            }
-            StoryAction::Activate => {
-                if let Some(motion) = self.motion.get_mut(actor) {
-                    let activated_s = motion.activated_s.unwrap_or(at.time_s);
-                    motion.activated_s = Some(activated_s.min(at.time_s));
-                }
-                Ok(None)
-            }
+            StoryAction::Activate => self.activate(node, actor, at.time_s).map(|()| None),
             StoryAction::Variable(_) | StoryAction::Ignored(_) => Ok(None),
         }
+    }
+
+    /// Activates the controller of an entity. An activation assigns no control strategy, so that it stops no action
+    /// (Annex A, Table 7, and 7.5.1).
+    fn activate(&mut self, node: Node<'a>, actor: usize, time_s: f64) -> Result<()> {
+        let Some(motion) = self.motion.get_mut(actor) else {
+            return Ok(());
+        };
+        let changes = |motion: &EntityMotion<'_>| {
+            let times_s = [time_s, f64::INFINITY];
+            motion.lateral.changes_between(&motion.plan, times_s)
+        };
+        if motion.is_inactive() && changes(motion) {
+            let problem =
+                "activates a controller during a lane change: its vehicle must keep its lane";
+            return Err(node.refuse(problem));
+        }
+        let activated_s = motion.activated_s.unwrap_or(time_s);
+        motion.activated_s = Some(activated_s.min(time_s));
+        Ok(())
     }
 
     /// Ends the actions that have reached their goals, in the order of their ends.

@@ -6,7 +6,7 @@ use super::error::ScenarioImportError;
 use super::lateral::LaneStay;
 use super::limits::{MAX_VEHICLE_STEPS, WORK_PER_SAMPLE};
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
-use super::speed_plan::SpeedPlan;
+use super::speed_plan::{SpeedKnot, SpeedPlan};
 use super::trigger::Firing;
 use super::vocabulary::ElementKind;
 use super::xml::{ElementLocation, Node};
@@ -14,6 +14,8 @@ use crumple_core::digits::{format_fixed, format_number};
 use crumple_sim::scenario::{
     Driver, InvalidField, LaneChange, LeadProfile, Scenario, ScenarioSpec, VehicleSpec,
 };
+
+use std::collections::BTreeSet;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -64,7 +66,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         self.check_duration(start_s)?;
         self.note_assumptions(start_s);
         self.check_work(start_s)?;
-        let lane = self.lane_under_test()?;
+        let lane = self.lane_under_test(start_s)?;
         let mut vehicles: Vec<LaneVehicle> = Vec::new();
         let mut absent = Vec::new();
         for entity in 0..self.drivers.len() {
@@ -76,6 +78,12 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             }
         }
         self.add_absent(&absent, start_s, &mut vehicles)?;
+        if let [only] = vehicles.as_slice()
+            && let Some(motion) = self.replay.motion.get(only.entity)
+        {
+            // No vehicle ahead keeps it on the straight part.
+            self.check_road(motion)?;
+        }
         self.add_second_vehicle(start_s, &mut vehicles);
         let mut vehicles = self.order(vehicles);
         for index in 0..vehicles.len() {
@@ -92,7 +100,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
     }
 
     /// Returns the lane of the vehicle under test; without one, that of the first entity.
-    fn lane_under_test(&self) -> Result<LaneUnderTest> {
+    fn lane_under_test(&self, start_s: f64) -> Result<LaneUnderTest> {
         let under_test = self
             .drivers
             .iter()
@@ -100,7 +108,10 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let entity = under_test.unwrap_or(0);
         let node = self.replay.entities.get(entity);
         let node = node.map_or(self.storyboard, |entity| entity.node);
-        let lane = self.replay.road.lane_at(self.replay.lateral_m(entity, 0.0));
+        let lane = self
+            .replay
+            .road
+            .lane_at(self.replay.lateral_m(entity, start_s));
         let lane = lane.ok_or_else(|| node.refuse("is beside the lanes of the road"))?;
         Ok(LaneUnderTest {
             edges_m: self.replay.road.lane_edges_m(node, lane)?,
@@ -132,6 +143,15 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
                 && stay.leaves.is_none_or(|leaves| leaves.time_s > start_s)
         });
         let stands = motion.plan.knots().iter().all(|knot| knot.speed_mps == 0.0);
+        let stays_inside = stays.last().is_some_and(|stay| stay.leaves.is_none());
+        if motion.walks_on && stays_inside {
+            let problem =
+                "the pedestrian walks along the lane of the vehicle under test after it crosses";
+            return Err(body
+                .node
+                .refuse(format!("{problem}: only one of both is supported")));
+        }
+        let stands = stands || motion.crosses_at_m.is_some();
         if motion.direction != lane.direction && !stands && !stays.is_empty() {
             return Err(body.node.refuse(format!(
                 "`{}` drives against the direction of the vehicle under test in its lane",
@@ -231,12 +251,13 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let mut notes = Vec::new();
         if start_s > 0.0 {
             notes.push(self.storyboard.note(format!(
-                "starts when the controller is activated, at {} s, with the initial speed",
+                "starts when the controller is activated, at {} s",
                 format_number(start_s)
             )));
         }
         if self.stop.depends_on_controller {
-            let text = "the duration is that of a vehicle under test that keeps its speed";
+            let text =
+                "the duration is that of a vehicle under test that the default controller drives";
             notes.push(self.storyboard.note(text));
         }
         let events = self.replay.elements.iter();
@@ -340,9 +361,14 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let Some((motion, body)) = motion.zip(self.replay.entities.get(entity)) else {
             return Err(self.storyboard.refuse("has no entity"));
         };
-        check_max_speed(motion, body)?;
-        let mut notes = body.notes.clone();
         let driver = self.drivers.get(entity).cloned().flatten();
+        let start = [motion.plan.at(start_s)];
+        let speeds = match driver {
+            Some(_) => start.as_slice(),
+            None => motion.plan.knots(),
+        };
+        check_max_speed(motion, body, speeds)?;
+        let mut notes = body.notes.clone();
         if driver.is_some() {
             notes.extend(controller_notes(motion, body));
         }
@@ -350,10 +376,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let is_scripted = driver.is_none();
         let mut spec = self.body_and_driver(motion, body, driver, start_s);
         if is_scripted {
-            if motion.follows_path {
-                notes.extend(self.raise_limits(&mut spec, motion, body, start_s)?);
-            }
-            self.check_limits(&spec, motion, start_s, body)?;
+            notes.extend(self.check_script(&mut spec, motion, body, start_s)?);
         } else {
             spec.jerk_limit_mps3 = body.jerk_limit_mps3;
             [
@@ -370,10 +393,38 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         })
     }
 
+    /// Refuses a script that the vehicle or the road does not permit, and returns a note about raised limits.
+    fn check_script(
+        &self,
+        spec: &mut VehicleSpec,
+        motion: &EntityMotion<'_>,
+        body: &Entity<'_>,
+        start_s: f64,
+    ) -> Result<Option<String>> {
+        self.check_road(motion)?;
+        if motion.crosses_at_m.is_some() {
+            return Ok(None);
+        }
+        let note = if motion.follows_path {
+            self.raise_limits(spec, motion, body, start_s)?
+        } else {
+            None
+        };
+        self.check_limits(spec, motion, start_s, body)?;
+        Ok(note)
+    }
+
+    /// Refuses a motion that reaches a part of the road that a scenario cannot represent.
+    fn check_road(&self, motion: &EntityMotion<'_>) -> Result<()> {
+        let end_m = motion.direction * motion.position_m(self.stop.time_s);
+        let limit = self.replay.road.exceeded_limit(end_m);
+        limit.map_or(Ok(()), |limit| Err(limit.error()))
+    }
+
     /// Returns a note if an entity would leave the road, which is endless in a scenario.
     fn end_of_road_note(&self, motion: &EntityMotion<'_>, body: &Entity<'_>) -> Option<String> {
-        let end_m = motion.direction * motion.plan.at(self.stop.time_s).position_m;
-        let outside = self.replay.road.check_inside(body.node, end_m).err();
+        let end_m = motion.direction * motion.position_m(self.stop.time_s);
+        let outside = self.replay.road.outside(body.node, end_m);
         outside.map(|outside| format!("{outside}, at the end; the road of the scenario is endless"))
     }
 
@@ -388,8 +439,12 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let start = motion.plan.at(start_s);
         let driver =
             driver.unwrap_or_else(|| Driver::Profile(motion.script(start_s, self.stop.time_s)));
-        let front_m = start.position_m + body.front_m;
-        let mut spec = VehicleSpec::new(body.class, front_m, start.speed_mps, driver);
+        let front_m = motion.position_m(start_s) + body.front_m;
+        let along_mps = match motion.crosses_at_m {
+            Some(_) => 0.0,
+            None => start.speed_mps,
+        };
+        let mut spec = VehicleSpec::new(body.class, front_m, along_mps, driver);
         spec.length_m = Some(body.length_m);
         spec.mass_kg = body.mass_kg;
         spec.max_brake_mps2 = body.max_brake_mps2;
@@ -520,7 +575,7 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             }
         };
         self.replay.notes.push(node.note(format!(
-            "enters at {gap_or_time}, as if the vehicle under test kept its speed"
+            "enters at {gap_or_time}, as if the default controller drove the vehicle under test"
         )));
         if let Some(entering) = vehicles.get_mut(index) {
             entering.spec.enters = Some(enters);
@@ -559,10 +614,12 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
 }
 
 /// Refuses an entity that exceeds its maximum speed.
-fn check_max_speed(motion: &EntityMotion<'_>, body: &Entity<'_>) -> Result<()> {
-    let fastest = motion
-        .plan
-        .knots()
+fn check_max_speed(
+    motion: &EntityMotion<'_>,
+    body: &Entity<'_>,
+    speeds: &[SpeedKnot],
+) -> Result<()> {
+    let fastest = speeds
         .iter()
         .max_by(|a, b| a.speed_mps.total_cmp(&b.speed_mps))
         .filter(|fastest| fastest.speed_mps > body.max_speed_mps);
@@ -579,10 +636,11 @@ fn check_max_speed(motion: &EntityMotion<'_>, body: &Entity<'_>) -> Result<()> {
 
 /// Returns notes about the actions that the controller of an entity replaces, and about its activation.
 fn controller_notes(motion: &EntityMotion<'_>, body: &Entity<'_>) -> Vec<String> {
-    let replaced = motion.actions.iter().map(|(_, node)| node);
-    let mut notes: Vec<String> = replaced
+    let replaced = motion.replaced.iter();
+    let replaced: BTreeSet<String> = replaced
         .map(|node| node.note(format!("the controller of `{}` replaces this", body.name)))
         .collect();
+    let mut notes: Vec<String> = replaced.into_iter().collect();
     if motion.activated_s.is_none() {
         notes.push(
             body.node
@@ -606,8 +664,8 @@ impl LaneVehicle {
         if let Some(leaves) = stay.leaves {
             if leaves.depends_on_controller {
                 self.notes.push(leaves.node.note(
-                    "depends on an entity with a controller: the vehicle leaves at the time that results if that \
-                     entity kept its speed",
+                    "depends on an entity with a controller: the vehicle leaves at the time that results if the \
+                     default controller drove that entity",
                 ));
             }
             self.spec.leaves = Some(LaneChange::At(leaves.time_s - start_s));

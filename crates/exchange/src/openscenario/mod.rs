@@ -29,6 +29,7 @@ mod quantity;
 mod replay;
 mod replay_state;
 mod report;
+mod resolution;
 mod road;
 mod scopes;
 mod source;
@@ -57,16 +58,21 @@ pub use error::ScenarioImportError;
 pub use report::OpenScenarioReport;
 pub use xml::{MAX_XML_BYTES, MAX_XML_ITEMS};
 
+use self::constructs::ActionDomains;
+use self::element::StoryElement;
+use self::entities::Entity;
+use self::initial::InitialState;
 use self::lane_scenario::LaneScenarioBuilder;
 use self::limits::{WORK_PER_ITEM, WorkBudget};
 use self::parameters::Parameters;
-use self::replay::{Replay, ReplayStart};
+use self::replay::{EntityControl, EntityMotion, Replay, ReplayStart};
 use self::road::RoadMap;
 use self::scopes::StoryScopes;
 use self::source::{FileCache, SourceFiles};
+use self::trigger::Firing;
 use self::variables::StoryVariables;
 use self::xml::{Node, SourceElement};
-use crumple_sim::scenario::Scenario;
+use crumple_sim::scenario::{Driver, Scenario};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -174,24 +180,24 @@ impl OpenScenarioSource {
         let mut entities = entities::read_entities(list, &files)?;
         let omitted = entities::remove_placeholders(&mut entities, storyboard);
         let drivers = entities::assign_drivers(list, &entities, ego)?;
-        let mut initial = initial::read_initial(storyboard, &entities, &roads, &files, &self.work)?;
+        let initial = initial::read_initial(storyboard, &entities, &roads, &files, &self.work)?;
         entities::turn(&mut entities, &initial.turned_rad);
-        initial.notes.extend(road_note.into_iter().chain(omitted));
         let scopes = StoryScopes::read(storyboard, &files)?;
-        let stories = storyboard::read_stories(storyboard, &entities, &scopes)?;
-        initial.notes.extend(stories.notes);
-        let start = ReplayStart {
-            initial,
-            elements: stories.elements,
-            variables: StoryVariables::new(root, root.parameters)?,
-            is_controlled: drivers.iter().map(Option::is_some).collect(),
+        let content = ReplayedContent {
+            root,
+            storyboard,
+            entities: &entities,
+            drivers: &drivers,
+            roads: &roads,
+            scopes: &scopes,
+            work: &self.work,
+            notes: road_note.into_iter().chain(omitted).collect(),
         };
-        let mut replay = Replay::new(&entities, start, &roads, &self.work, storyboard)?;
-        let stop = replay.run(stories.conditions, storyboard)?;
+        let (replay, stop) = content.replay_all(initial, &files)?;
         let builder = LaneScenarioBuilder {
             storyboard,
             replay,
-            drivers,
+            drivers: drivers.clone(),
             stop,
             name: self.scenario_name(header),
             about: purpose(header),
@@ -239,6 +245,104 @@ impl OpenScenarioSource {
         } else {
             name
         }
+    }
+}
+
+/// Content of a file that a replay needs.
+struct ReplayedContent<'a, 'b> {
+    root: Node<'a>,
+    storyboard: Node<'a>,
+    entities: &'b [Entity<'a>],
+    drivers: &'b [Option<Driver>],
+    roads: &'b RoadMap<'b>,
+    scopes: &'a StoryScopes,
+    work: &'b WorkBudget,
+    /// Notes about the road and omitted entities.
+    notes: Vec<String>,
+}
+
+impl<'a, 'b> ReplayedContent<'a, 'b> {
+    /// Replays the storyboard, and returns the replay and its end. A controller that is never activated drives from the
+    /// start.
+    fn replay_all(
+        &self,
+        initial: InitialState<'a>,
+        files: &SourceFiles<'_>,
+    ) -> Result<(Replay<'a, 'b>, Firing)> {
+        let (replay, stop) = self.replay(initial, true)?;
+        if !replay.motion.iter().any(EntityMotion::is_inactive) {
+            return Ok((replay, stop));
+        }
+        let (node, entities) = (self.storyboard, self.entities);
+        let initial = initial::read_initial(node, entities, self.roads, files, self.work)?;
+        self.replay(initial, false)
+    }
+
+    /// Replays the storyboard, and returns the replay and its end. With `awaits_activation`, the default controller
+    /// drives a vehicle under test until an event activates its controller.
+    fn replay(
+        &self,
+        mut initial: InitialState<'a>,
+        awaits_activation: bool,
+    ) -> Result<(Replay<'a, 'b>, Firing)> {
+        let stories = storyboard::read_stories(self.storyboard, self.entities, self.scopes)?;
+        initial.notes.extend(self.notes.iter().cloned());
+        initial.notes.extend(stories.notes);
+        initial
+            .notes
+            .extend(self.unknown_controllers(&stories.elements)?);
+        let is_activated = |entity: usize| {
+            let elements = stories.elements.iter();
+            let is_active = initial.is_active.get(entity).copied().unwrap_or_default();
+            !is_active && elements.clone().any(|element| element.activates(entity))
+        };
+        let control = self.drivers.iter().enumerate();
+        let control = control.map(|(entity, driver)| EntityControl {
+            is_controlled: driver.is_some(),
+            awaits_activation: awaits_activation
+                && *driver == Some(Driver::UnderTest)
+                && is_activated(entity),
+        });
+        let control = control.collect();
+        let start = ReplayStart {
+            initial,
+            elements: stories.elements,
+            variables: StoryVariables::new(self.root, self.root.parameters)?,
+            control,
+        };
+        let mut replay = Replay::new(self.entities, start, self.roads, self.work, self.storyboard)?;
+        let stop = replay.run(stories.conditions, self.storyboard)?;
+        Ok((replay, stop))
+    }
+}
+
+impl ReplayedContent<'_, '_> {
+    /// Returns notes about scripted entities with a controller that crumple does not know. Refuses those of which no
+    /// action of an event controls the speed: only their controller determines their motion.
+    fn unknown_controllers(&self, elements: &[StoryElement<'_>]) -> Result<Vec<String>> {
+        let mut notes = Vec::new();
+        for (entity, driver) in self.drivers.iter().enumerate() {
+            let Some(body) = self.entities.get(entity).filter(|_| driver.is_none()) else {
+                continue;
+            };
+            let Some(controller) = body.unknown_controller() else {
+                continue;
+            };
+            let name = &body.name;
+            let problem =
+                format!("`{name}` has the controller `{controller}`, which is none of crumple's");
+            let mut actions = elements
+                .iter()
+                .filter(|element| element.actors.contains(&entity));
+            if !actions.any(|action| action.domains.overlaps(ActionDomains::LONGITUDINAL)) {
+                return Err(body.node.refuse(problem));
+            }
+            notes.push(
+                body.node
+                    .note(format!("{problem}: the default controller drives it")),
+            );
+        }
+        Ok(notes)
     }
 }
 

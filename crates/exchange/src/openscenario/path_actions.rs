@@ -162,7 +162,7 @@ impl<'a> Replay<'a, '_> {
                 )));
             }
             None => LateralExtent::Distance {
-                from_m: self.position_m(actor, start.time_s),
+                from_m: self.driven_m(actor, start.time_s),
                 length_m: change.dynamics.value,
             },
         };
@@ -225,7 +225,7 @@ impl<'a> Replay<'a, '_> {
     ) -> Result<ActionGoal> {
         take_samples(node, 1, &mut self.samples_left)?;
         if let Some(motion) = self.motion.get_mut(actor) {
-            if motion.is_controlled {
+            if motion.has_active_controller() {
                 return Err(node.refuse("an entity with a controller must keep its lane"));
             }
             let step = LateralMove {

@@ -22,6 +22,8 @@ pub(super) enum PlacePurpose {
     Lane,
     /// An obstacle: any orientation.
     Obstacle,
+    /// A pedestrian: along the lane, or any other orientation.
+    Pedestrian,
     /// A vertex of a trajectory: about along the lane; pitch and roll have no influence.
     Vertex,
 }
@@ -135,9 +137,13 @@ fn world_place(node: Node<'_>, context: &PositionContext<'_, '_>) -> Result<Lane
     let heading_rad = match context.purpose {
         // Without `h`, the heading is 0.
         PlacePurpose::Lane => Some(stated_rad.unwrap_or(0.0)),
-        PlacePurpose::Obstacle | PlacePurpose::Vertex => None,
+        PlacePurpose::Obstacle | PlacePurpose::Pedestrian | PlacePurpose::Vertex => None,
     };
-    let lane_place = road.place_of_point(node, point_m, heading_rad)?;
+    let mut lane_place = road.place_of_point(node, point_m, heading_rad)?;
+    if context.purpose == PlacePurpose::Pedestrian {
+        let own_rad = road.travel_rad(lane_place.direction);
+        lane_place.turn_if_along(stated_rad.unwrap_or(0.0) - own_rad);
+    }
     if let (PlacePurpose::Vertex, Some(stated_rad)) = (context.purpose, stated_rad) {
         check_about_along(node, stated_rad - road.travel_rad(lane_place.direction))?;
     }
@@ -150,6 +156,26 @@ fn check_about_along(node: Node<'_>, angle_rad: f64) -> Result<()> {
         return Err(node.refuse("`h` is across the lane: vehicles drive along them"));
     }
     Ok(())
+}
+
+/// Returns the angle from the direction of travel at a place to the direction that its position states.
+pub(super) fn stated_angle_rad(
+    position: Node<'_>,
+    lane_place: &LanePlace,
+    roads: &RoadMap<'_>,
+) -> Result<f64> {
+    let orientation = position.optional("Orientation");
+    let stated_rad = orientation.unwrap_or(position).optional_number("h")?;
+    let is_world = position.name() == last_element(path::WORLD_POSITION);
+    let is_relative = orientation.is_some_and(|node| node.raw("type") == Some("relative"));
+    match stated_rad {
+        Some(stated_rad) if is_relative => Ok(stated_rad),
+        None if !is_world => Ok(0.0),
+        stated_rad => {
+            let road = roads.find(position, Some(&lane_place.road), [0.0; 2])?;
+            Ok(stated_rad.unwrap_or(0.0) - road.travel_rad(lane_place.direction))
+        }
+    }
 }
 
 /// Returns the attribute in which a position states pitch or roll.
@@ -230,7 +256,8 @@ fn orient(
     if context.purpose == PlacePurpose::Obstacle {
         return Ok(());
     }
-    if let (PlacePurpose::Lane, Some(angle)) = (context.purpose, tilt(node)?) {
+    let may_tilt = context.purpose == PlacePurpose::Vertex;
+    if let (false, Some(angle)) = (may_tilt, tilt(node)?) {
         let tilted = orientation.unwrap_or(node);
         return Err(tilted.refuse(format!("`{angle}` differs from the direction of the lane")));
     }
@@ -249,6 +276,10 @@ fn orient(
     };
     match context.purpose {
         PlacePurpose::Vertex => check_about_along(orientation, heading_rad - own_rad),
+        PlacePurpose::Pedestrian => {
+            lane_place.turn_if_along(heading_rad - own_rad);
+            Ok(())
+        }
         _ => lane_place.turn(orientation, heading_rad - own_rad),
     }
 }

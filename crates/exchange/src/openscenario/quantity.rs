@@ -309,7 +309,7 @@ impl Quantity<'_> {
         let acceleration_mps2 =
             || (own_mps - replay.speed_mps(entity, now_s - REPLAY_STEP_S)) / REPLAY_STEP_S;
         let travelled_m =
-            |from_s: f64| replay.position_m(entity, now_s) - replay.position_m(entity, from_s);
+            |from_s: f64| replay.driven_m(entity, now_s) - replay.driven_m(entity, from_s);
         let since_s = now_s - self.duration_s;
         let as_number = |holds: bool| if holds { 1.0 } else { -1.0 };
         match self.kind {
@@ -361,10 +361,10 @@ impl Quantity<'_> {
         [entity, reference]: [usize; 2],
         now_s: f64,
     ) -> f64 {
-        let own_mps = replay.speed_mps(entity, now_s);
+        let own_mps = replay.along_mps(entity, now_s);
         let direction = replay.direction(entity);
         let other_mps =
-            direction * replay.direction(reference) * replay.speed_mps(reference, now_s);
+            direction * replay.direction(reference) * replay.along_mps(reference, now_s);
         let ahead_m = direction * (replay.road_m(reference, now_s) - replay.road_m(entity, now_s));
         let faster_mps = own_mps - other_mps;
         let is_behind = ahead_m >= 0.0;

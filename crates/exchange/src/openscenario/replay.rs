@@ -1,6 +1,7 @@
 //! Replay of the storyboard: motion of all entities up to the stop trigger, as `interpreter` lets the elements run.
 //!
-//! Controlled entities keep their speed. What depends on their motion is marked.
+//! The default controller drives entities with a controller: it does their actions exactly, and otherwise keeps their
+//! speed and their lane (6.6.1). What depends on their motion is marked.
 
 use super::constructs::ActionDomains;
 use super::element::StoryElement;
@@ -35,14 +36,23 @@ pub(super) struct EntityMotion<'a> {
     pub(super) lateral: LateralPlan<'a>,
     /// 1 for travel in the direction of the road, and -1 against it.
     pub(super) direction: f64,
+    /// Position of a pedestrian that walks across the lanes; the plan counts the distance that it walks.
+    pub(super) crosses_at_m: Option<f64>,
+    /// True if its trajectory goes on along the lanes, which must be beside the lane of the vehicle under test.
+    pub(super) walks_on: bool,
     /// True if a speed profile or a trajectory made the plan.
     pub(super) is_recorded: bool,
     /// True if a trajectory made the plan.
     pub(super) follows_path: bool,
     pub(super) activated_s: Option<f64>,
+    /// True if a controller of the scenario drives the entity. In a replay, the default controller drives it.
     pub(super) is_controlled: bool,
-    /// Start times of actions on the speed; its controller replaces those of a controlled entity.
+    /// True if an event activates the controller.
+    pub(super) awaits_activation: bool,
+    /// Start times of actions on the speed.
     pub(super) actions: Vec<(f64, Node<'a>)>,
+    /// Actions that the controller replaces.
+    pub(super) replaced: Vec<Node<'a>>,
 }
 
 impl<'a> EntityMotion<'a> {
@@ -52,12 +62,32 @@ impl<'a> EntityMotion<'a> {
             plan: SpeedPlan::constant(lane_place.direction * lane_place.road_m, speed_mps),
             lateral: LateralPlan::constant(lane_place.lateral_m),
             direction: lane_place.direction,
+            crosses_at_m: None,
+            walks_on: false,
             is_recorded: false,
             follows_path: false,
             activated_s: None,
             is_controlled: false,
+            awaits_activation: false,
             actions: Vec::new(),
+            replaced: Vec::new(),
         }
+    }
+
+    /// Returns the position in the direction of travel.
+    pub(super) fn position_m(&self, time_s: f64) -> f64 {
+        self.crosses_at_m
+            .unwrap_or_else(|| self.plan.at(time_s).position_m)
+    }
+
+    /// Returns true if the controller of the scenario drives the entity, and no longer the default controller (6.6.1).
+    pub(super) fn has_active_controller(&self) -> bool {
+        self.is_controlled && !self.is_inactive()
+    }
+
+    /// Returns true if an event that has not started yet activates the controller.
+    pub(super) fn is_inactive(&self) -> bool {
+        self.awaits_activation && self.activated_s.is_none()
     }
 
     /// Returns the work of discarding the rest of the plan, and of comparing it with the new one.
@@ -97,7 +127,8 @@ enum PlanChange<'p> {
     Speed(f64, TransitionDynamics),
     Profile(&'p [(f64, f64)]),
     Trajectory(Vec<PathVertex>),
-    None,
+    /// No change until a time.
+    Until(f64),
 }
 
 /// A time during which an entity keeps its speed or its lateral position relative to another one.
@@ -141,19 +172,32 @@ pub(super) struct ReplayStart<'a> {
     pub(super) initial: InitialState<'a>,
     pub(super) elements: Vec<StoryElement<'a>>,
     pub(super) variables: StoryVariables,
-    /// True for entities with a controller.
-    pub(super) is_controlled: Vec<bool>,
+    /// Control of each entity.
+    pub(super) control: Vec<EntityControl>,
+}
+
+/// Control of an entity.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct EntityControl {
+    /// True if a controller of the scenario drives the entity.
+    pub(super) is_controlled: bool,
+    /// True if an event activates this controller.
+    pub(super) awaits_activation: bool,
 }
 
 /// Returns the motion of all entities at constant speed from their initial state.
-fn initial_motion<'a>(initial: &InitialState<'a>, is_controlled: &[bool]) -> Vec<EntityMotion<'a>> {
+fn initial_motion<'a>(
+    initial: &InitialState<'a>,
+    control: &[EntityControl],
+) -> Vec<EntityMotion<'a>> {
     let states = initial.places.iter().zip(&initial.speeds_mps);
     let mut motion: Vec<EntityMotion<'a>> = states
         .map(|(position, speed_mps)| EntityMotion::constant(position, speed_mps.unwrap_or(0.0)))
         .collect();
-    let control = is_controlled.iter().zip(&initial.is_active);
-    for (motion, (&is_controlled, &is_active)) in motion.iter_mut().zip(control) {
-        motion.is_controlled = is_controlled;
+    let control = control.iter().zip(&initial.is_active);
+    for (motion, (control, &is_active)) in motion.iter_mut().zip(control) {
+        motion.is_controlled = control.is_controlled;
+        motion.awaits_activation = control.awaits_activation;
         motion.activated_s = is_active.then_some(0.0);
     }
     motion
@@ -169,7 +213,7 @@ impl<'a, 'b> Replay<'a, 'b> {
         storyboard: Node<'a>,
     ) -> Result<Self> {
         let initial = start.initial;
-        let motion = initial_motion(&initial, &start.is_controlled);
+        let motion = initial_motion(&initial, &start.control);
         let road_id = initial
             .places
             .first()
@@ -210,7 +254,8 @@ impl<'a, 'b> Replay<'a, 'b> {
                 }
                 InitialAction::Route(route) => self.follow_route(route, entity)?,
                 InitialAction::Transition(speed) => {
-                    self.start_initial_transition(entity, &speed)?;
+                    let (node, action) = (speed.node, StoryAction::Speed(speed));
+                    self.change_plan(node, entity, &action, Firing::at(0.0))?;
                 }
                 InitialAction::Control(control) => {
                     let InitialControl {
@@ -228,20 +273,6 @@ impl<'a, 'b> Replay<'a, 'b> {
         Ok(())
     }
 
-    /// Starts a transition of the speed with the scenario.
-    fn start_initial_transition(&mut self, entity: usize, action: &SpeedAction<'a>) -> Result<()> {
-        if !self.is_controlled(entity) {
-            let start = Firing::at(0.0);
-            return self
-                .change_plan(action.node, entity, &StoryAction::Speed(*action), start)
-                .map(drop);
-        }
-        if let Some(motion) = self.motion.get_mut(entity) {
-            motion.actions.push((0.0, action.node));
-        }
-        Ok(())
-    }
-
     /// Returns the speed to which the target of an action is relative.
     fn reference_mps(&self, action: &SpeedAction<'a>, time_s: f64) -> f64 {
         action
@@ -250,7 +281,8 @@ impl<'a, 'b> Replay<'a, 'b> {
             .map_or(0.0, |entity| self.speed_mps(entity, time_s))
     }
 
-    /// Changes the speeds of a scripted entity by an action, and returns the end of the action.
+    /// Changes the speeds of an entity by an action, and returns the end of the action. An action of an entity with a
+    /// controller ends when the default controller would have reached its goal (6.6.1, 7.5.2).
     pub(super) fn change_plan(
         &mut self,
         event: Node<'a>,
@@ -262,12 +294,22 @@ impl<'a, 'b> Replay<'a, 'b> {
         let Some(motion) = self.motion.get_mut(actor) else {
             return Ok(start.time_s);
         };
-        let work = motion.change_work(start.depends_on_controller);
+        let is_noted = start.depends_on_controller && !motion.is_controlled;
+        let work = motion.change_work(is_noted);
         self.work.spend(event, work)?;
-        let plan_before = start.depends_on_controller.then(|| motion.plan.clone());
+        let plan_before = is_noted.then(|| motion.plan.clone());
         let node = action.node().unwrap_or(event);
         motion.actions.push((start.time_s, node));
         let end_s = self.apply(node, actor, action, change, start.time_s)?;
+        // A step at the start is an initial speed.
+        let is_initial = matches!(action, StoryAction::Speed(speed) if speed.dynamics.is_instant())
+            && self
+                .motion
+                .get(actor)
+                .is_some_and(|motion| motion.plan.knots().len() == 1);
+        if !is_initial {
+            self.mark_replaced(node, actor);
+        }
         if let Some(before) = plan_before {
             self.note_dependence(node, actor, &before);
         }
@@ -299,10 +341,25 @@ impl<'a, 'b> Replay<'a, 'b> {
                 Ok(PlanChange::Profile(&profile.entries))
             }
             StoryAction::Trajectory(trajectory) => {
-                let vertices = self.trajectory_vertices(trajectory, actor, start_s)?;
-                Ok(PlanChange::Trajectory(vertices))
+                match self.trajectory_vertices(trajectory, actor, start_s) {
+                    Ok(vertices) => Ok(PlanChange::Trajectory(vertices)),
+                    // The controller does not follow it, wherever it leads.
+                    Err(ScenarioImportError::Refused { .. }) if self.is_controlled(actor) => {
+                        Ok(PlanChange::Until(trajectory.end_s(start_s)))
+                    }
+                    Err(error) => Err(error),
+                }
             }
-            _ => Ok(PlanChange::None),
+            _ => Ok(PlanChange::Until(start_s)),
+        }
+    }
+
+    /// Remembers an action that the controller of an entity replaces.
+    pub(super) fn mark_replaced(&mut self, node: Node<'a>, actor: usize) {
+        if let Some(motion) = self.motion.get_mut(actor)
+            && motion.has_active_controller()
+        {
+            motion.replaced.push(node);
         }
     }
 
@@ -323,7 +380,7 @@ impl<'a, 'b> Replay<'a, 'b> {
             accel_mps2
         };
         let mut dynamics = speed.dynamics;
-        if dynamics.limit(change_mps, limit_mps2) {
+        if dynamics.limit(change_mps, limit_mps2) && !self.is_controlled(actor) {
             self.note_limit(speed.node, dynamics, [brake_mps2, accel_mps2]);
         }
         if dynamics.duration_s(change_mps) == Some(f64::INFINITY) {
@@ -357,7 +414,8 @@ impl<'a, 'b> Replay<'a, 'b> {
             (PlanChange::Trajectory(vertices), StoryAction::Trajectory(trajectory)) => {
                 Ok(self.follow_trajectory(trajectory, actor, &vertices))
             }
-            (PlanChange::Trajectory(_) | PlanChange::None, _) => Ok(start_s),
+            (PlanChange::Until(end_s), _) => Ok(end_s),
+            (PlanChange::Trajectory(_), _) => Ok(start_s),
         }
     }
 
@@ -386,9 +444,12 @@ impl<'a, 'b> Replay<'a, 'b> {
         ))));
     }
 
-    /// Lets an entity keep its speed relative to another one.
+    /// Lets a scripted entity keep its speed relative to another one.
     fn follow_speed(&mut self, actor: usize, action: &SpeedAction<'a>, start_s: f64) {
-        if let Some(reference) = action.target.reference {
+        let motion = self.motion.get(actor);
+        if let Some(reference) = action.target.reference
+            && motion.is_some_and(|motion| !motion.is_controlled)
+        {
             let times_s = [start_s, f64::INFINITY];
             let domain = ActionDomains::LONGITUDINAL;
             self.follow_entity(action.node, [actor, reference], domain, times_s);
@@ -436,6 +497,10 @@ impl<'a, 'b> Replay<'a, 'b> {
             let Some(reference) = self.motion.get(following.reference) else {
                 continue;
             };
+            // Its speed and its lane depend on its controller; a note states the assumption.
+            if reference.has_active_controller() {
+                continue;
+            }
             let steps = reference.plan.knots().len() + reference.lateral.moves().len();
             self.work
                 .spend(following.node, WORK_PER_SAMPLE * steps as u64)?;
@@ -460,7 +525,7 @@ impl<'a, 'b> Replay<'a, 'b> {
         let motion = self.motion.get(actor);
         if motion.is_some_and(|motion| motion.plan.differs_from(before)) {
             self.note_once(Some(node.note(
-                "depends on an entity with a controller: its time is that of an entity that keeps its speed",
+                "depends on an entity with a controller: its time is that with the default controller",
             )));
         }
     }
@@ -492,16 +557,13 @@ impl<'a, 'b> Replay<'a, 'b> {
         let Some(motion) = self.motion.get_mut(actor) else {
             return Ok(());
         };
-        if motion.is_controlled {
-            return Ok(());
-        }
         if domains.overlaps(ActionDomains::LATERAL) {
             motion.lateral.cut(stop.time_s, &motion.plan);
         }
         if domains.overlaps(ActionDomains::LONGITUDINAL) {
-            self.work
-                .spend(node, motion.change_work(stop.depends_on_controller))?;
-            let before = stop.depends_on_controller.then(|| motion.plan.clone());
+            let is_noted = stop.depends_on_controller && !motion.is_controlled;
+            self.work.spend(node, motion.change_work(is_noted))?;
+            let before = is_noted.then(|| motion.plan.clone());
             motion.plan.cut(stop.time_s);
             motion.actions.push((stop.time_s, node));
             if let Some(before) = before {
@@ -519,10 +581,13 @@ impl<'a, 'b> Replay<'a, 'b> {
         let reference = speed.target.reference;
         let reference = reference.filter(|entity| self.is_controlled(*entity))?;
         let name = &self.entities.get(reference)?.name;
-        Some(
-            speed
-                .node
-                .note(format!("is relative to `{name}`, as if it kept its speed")),
-        )
+        let then = if speed.target.is_continuous {
+            " and kept its speed from then on"
+        } else {
+            ""
+        };
+        Some(speed.node.note(format!(
+            "is relative to `{name}`, as if the default controller drove it{then}"
+        )))
     }
 }

@@ -11,11 +11,26 @@ impl Replay<'_, '_> {
             .map_or(0.0, |motion| motion.plan.at(time_s).speed_mps)
     }
 
+    /// Returns the speed along the lane, in m/s.
+    pub(super) fn along_mps(&self, entity: usize, time_s: f64) -> f64 {
+        let motion = self.motion.get(entity);
+        match motion.and_then(|motion| motion.crosses_at_m) {
+            Some(_) => 0.0,
+            None => self.speed_mps(entity, time_s),
+        }
+    }
+
+    /// Returns the distance that an entity has driven or walked since a fixed time, in metres.
+    pub(super) fn driven_m(&self, entity: usize, time_s: f64) -> f64 {
+        let motion = self.motion.get(entity);
+        motion.map_or(0.0, |motion| motion.plan.at(time_s).position_m)
+    }
+
     /// Returns the position of the reference point in the direction of travel, in metres.
     pub(super) fn position_m(&self, entity: usize, time_s: f64) -> f64 {
         self.motion
             .get(entity)
-            .map_or(0.0, |motion| motion.plan.at(time_s).position_m)
+            .map_or(0.0, |motion| motion.position_m(time_s))
     }
 
     /// Returns the position of the reference point in the direction of the road, in metres.
@@ -63,17 +78,20 @@ impl Replay<'_, '_> {
         })
     }
 
-    /// Returns true if the motion of an entity depends on a controller.
+    /// Returns true if the motion of an entity depends on a controller, which is active.
     pub(super) fn is_controlled(&self, entity: usize) -> bool {
         self.motion
             .get(entity)
-            .is_some_and(|motion| motion.is_controlled)
+            .is_some_and(EntityMotion::has_active_controller)
     }
 }
 
 impl EntityMotion<'_> {
     /// Returns the script of a motion from a time on: braking, constant speed, or recorded speeds.
     pub(super) fn script(&self, start_s: f64, stop_s: f64) -> LeadProfile {
+        if self.crosses_at_m.is_some() {
+            return LeadProfile::ConstantSpeed;
+        }
         let knots = self.speeds_after(start_s, stop_s);
         if self.is_recorded {
             return recorded_speeds(&knots);

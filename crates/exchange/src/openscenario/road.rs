@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use super::error::ScenarioImportError;
 use super::limits::{MAX_LANES, WORK_PER_ROAD, WorkBudget, ensure_at_most};
-use super::xml::{Node, SourceElement};
+use super::xml::{ElementLocation, Node, SourceElement};
 use crumple_core::digits::{format_fixed, format_number};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -19,6 +19,8 @@ const MAX_CURVATURE: f64 = 1.0 / 2000.0;
 const MAX_SLOPE: f64 = 0.03;
 /// Number of parts of a curve at which its curvature and slope are evaluated.
 const CURVE_PARTS: usize = 32;
+/// Distance of a road from the origin of the world from which on positions count from the start of the road, in metres.
+const FAR_M: f64 = 100_000.0;
 /// Largest difference of directions that count as equal, in radians.
 const HEADING_TOLERANCE_RAD: f64 = 1e-3;
 
@@ -31,6 +33,8 @@ pub(super) struct StraightRoad {
     /// Cosine and sine of the heading.
     direction: [f64; 2],
     length_m: f64,
+    /// First part that a scenario cannot represent.
+    limit: Option<RoadLimit>,
     /// True if lanes with negative numbers have the direction of the road.
     is_right_hand: bool,
     /// True if the road has bends.
@@ -38,6 +42,58 @@ pub(super) struct StraightRoad {
     lanes: Vec<Lane>,
     /// Notes about slopes and bends, which the scenario neglects.
     pub(super) notes: Vec<String>,
+}
+
+/// Place from which on a scenario cannot represent a road, and the error of what is there.
+#[derive(Debug)]
+pub(super) struct RoadLimit {
+    s_m: f64,
+    location: ElementLocation,
+    reason: String,
+}
+
+impl RoadLimit {
+    pub(super) fn error(&self) -> ScenarioImportError {
+        self.location.refuse(&self.reason)
+    }
+
+    fn note(&self) -> String {
+        let s = format_fixed(self.s_m, 0);
+        format!(
+            "{}: no scripted vehicle reaches this part, from {s} m on",
+            self.error()
+        )
+    }
+}
+
+/// Limits of a road that is being read.
+#[derive(Default)]
+struct RoadLimits {
+    first: Option<RoadLimit>,
+}
+
+impl RoadLimits {
+    /// Adds the error of a part that begins at `s_m`. Returns the error if the part begins with the road.
+    fn add(&mut self, s_m: f64, error: ScenarioImportError) -> Result<()> {
+        let (path, line, name, reason) = match error {
+            ScenarioImportError::Refused {
+                path,
+                line,
+                element,
+                reason,
+            } if s_m > LATERAL_TOLERANCE_M => (path, line, element, reason),
+            other => return Err(other),
+        };
+        if self.first.as_ref().is_none_or(|first| s_m < first.s_m) {
+            let path = path.into();
+            self.first = Some(RoadLimit {
+                s_m,
+                location: ElementLocation { path, line, name },
+                reason,
+            });
+        }
+        Ok(())
+    }
 }
 
 #[derive(Debug)]
@@ -78,6 +134,15 @@ impl LanePlace {
             _ => return Err(node.refuse("`h` differs from the direction of the lane")),
         }
         Ok(())
+    }
+}
+
+impl LanePlace {
+    /// Turns the direction of travel by an angle of about half a turn; other angles leave it.
+    pub(super) fn turn_if_along(&mut self, angle_rad: f64) {
+        if libm::cos(angle_rad) < -libm::cos(HEADING_TOLERANCE_RAD) {
+            self.direction = -self.direction;
+        }
     }
 }
 
@@ -162,25 +227,23 @@ impl StraightRoad {
         {
             return Err(road.refuse("is part of a junction"));
         }
-        let slope = check_level(road)?;
+        let mut limits = RoadLimits::default();
+        let slope = check_level(road, &mut limits)?;
         let length_m = road.number("length")?;
-        let line = ReferenceLine::read(road)?;
-        if (line.end_m - length_m).abs() > 1.0 {
-            return Err(road.refuse(format!(
-                "is {} m long, but its geometry ends at {} m",
-                format_number(length_m),
-                format_number(line.end_m)
-            )));
-        }
+        let line = ReferenceLine::read(road, &mut limits)?;
+        line.check_length(road, length_m)?;
         let is_right_hand = road.raw("rule") != Some("LHT");
-        let lanes = read_lanes(road.child("lanes")?)?;
-        let notes = neglected(road, &line, slope, &lanes);
+        let lanes = read_lanes(road.child("lanes")?, &mut limits)?;
+        let limit = limits.first;
+        let mut notes = neglected(road, &line, slope, &lanes);
+        notes.extend(limit.as_ref().map(RoadLimit::note));
         Ok(Self {
             id: road.text("id")?,
             origin_m: line.origin_m,
             heading_rad: line.heading_rad,
             direction: line.direction,
             length_m,
+            limit,
             is_right_hand,
             is_unrolled: line.max_curvature > 0.0,
             lanes,
@@ -201,8 +264,9 @@ impl StraightRoad {
         let [cosine, sine] = self.direction;
         let [dx_m, dy_m] = [x_m - self.origin_m[0], y_m - self.origin_m[1]];
         let [s_m, lateral_m] = [dx_m * cosine + dy_m * sine, dy_m * cosine - dx_m * sine];
+        let limit_m = self.limit.as_ref().map_or(self.length_m, |limit| limit.s_m);
         let is_on_road = !self.is_unrolled
-            && (0.0..=self.length_m).contains(&s_m)
+            && (0.0..=limit_m).contains(&s_m)
             && self
                 .lanes
                 .iter()
@@ -266,15 +330,33 @@ impl StraightRoad {
     }
 
     fn check_length(&self, node: Node<'_>, s_m: f64) -> Result<()> {
-        if (0.0..=self.length_m).contains(&s_m) {
-            return Ok(());
+        let limit = self.limit.as_ref().filter(|limit| s_m > limit.s_m);
+        match limit {
+            Some(limit) => Err(limit.error()),
+            None if (0.0..=self.length_m).contains(&s_m) => Ok(()),
+            None => Err(self.refuse_outside(node, s_m)),
         }
-        Err(node.refuse(format!(
+    }
+
+    fn refuse_outside(&self, node: Node<'_>, s_m: f64) -> ScenarioImportError {
+        node.refuse(format!(
             "{} m is outside the road `{}` of {} m",
             format_number(s_m),
             self.id,
             format_number(self.length_m)
-        )))
+        ))
+    }
+
+    /// Returns the limit that a position in the direction of the road exceeds.
+    pub(super) fn exceeded_limit(&self, road_m: f64) -> Option<&RoadLimit> {
+        let limit = self.limit.as_ref();
+        limit.filter(|limit| self.s_m(road_m) > limit.s_m)
+    }
+
+    /// Returns the error of a position in the direction of the road that is beyond an end of the road.
+    pub(super) fn outside(&self, node: Node<'_>, road_m: f64) -> Option<ScenarioImportError> {
+        let is_outside = !self.contains_m(road_m);
+        is_outside.then(|| self.refuse_outside(node, self.s_m(road_m)))
     }
 
     /// Refuses a position in the direction of the road that is outside the road.
@@ -296,9 +378,13 @@ impl StraightRoad {
         }
     }
 
-    /// Position of the start of the road along its direction, so that positions are x on a road along x.
+    /// Position of the start of the road along its direction, so that positions are x on a road along x. On a road far
+    /// from the origin, such as one with coordinates of a map projection, positions count from its start.
     fn start_m(&self) -> f64 {
         let [x_m, y_m] = self.origin_m;
+        if x_m.hypot(y_m) > FAR_M {
+            return 0.0;
+        }
         x_m * self.direction[0] + y_m * self.direction[1]
     }
 
@@ -383,12 +469,13 @@ fn neglected(road: Node<'_>, line: &ReferenceLine, slope: f64, lanes: &[Lane]) -
     notes
 }
 
-/// Returns the largest slope of a road. Refuses steep slopes and superelevation.
-fn check_level(road: Node<'_>) -> Result<f64> {
+/// Returns the largest slope of a road. Steep slopes and superelevation limit the road.
+fn check_level(road: Node<'_>, limits: &mut RoadLimits) -> Result<f64> {
     let mut slope: f64 = 0.0;
     for profile in road.named("lateralProfile").flat_map(Node::children) {
         if profile.name() != "superelevation" || !is_zero(profile, &["a", "b", "c", "d"]) {
-            return Err(profile.refuse("the road must be level"));
+            let s_m = profile.optional_number("s")?.unwrap_or(0.0);
+            limits.add(s_m, profile.refuse("the road must be level"))?;
         }
     }
     let entries: Vec<Node<'_>> = road
@@ -403,9 +490,9 @@ fn check_level(road: Node<'_>) -> Result<f64> {
         let steepest = steepest_slope(*entry, end_m)?;
         if !(0.0..=MAX_SLOPE).contains(&steepest) {
             let percent = 100.0 * MAX_SLOPE;
-            return Err(entry.refuse(format!(
-                "the road must be level, with slopes of up to {percent} %"
-            )));
+            let problem = format!("the road must be level, with slopes of up to {percent} %");
+            limits.add(entry.number("s")?, entry.refuse(problem))?;
+            break;
         }
         slope = slope.max(steepest);
     }
@@ -452,18 +539,29 @@ struct ReferenceLine {
     end_m: f64,
     /// Largest curvature, per metre.
     max_curvature: f64,
+    /// True if a part of the line is not supported.
+    is_limited: bool,
 }
 
 impl ReferenceLine {
-    /// Reads the geometries of a road, which must be lines that continue the first one, or slight bends.
-    fn read(road: Node<'_>) -> Result<Self> {
-        let mut line: Option<Self> = None;
-        let plan_view = road.child("planView")?;
-        let mut max_curvature: f64 = 0.0;
-        for geometry in plan_view.children() {
-            max_curvature = max_curvature.max(curvature(geometry)?);
+    /// Refuses a geometry that does not end with the road.
+    fn check_length(&self, road: Node<'_>, length_m: f64) -> Result<()> {
+        if self.is_limited || (self.end_m - length_m).abs() <= 1.0 {
+            return Ok(());
         }
-        for geometry in plan_view.children() {
+        Err(road.refuse(format!(
+            "is {} m long, but its geometry ends at {} m",
+            format_number(length_m),
+            format_number(self.end_m)
+        )))
+    }
+
+    /// Reads the geometries of a road up to the first one that neither continues the first line nor is a slight bend.
+    fn read(road: Node<'_>, limits: &mut RoadLimits) -> Result<Self> {
+        let mut line: Option<Self> = None;
+        let geometries: Vec<Node<'_>> = road.child("planView")?.children().collect();
+        let (usable, max_curvature) = usable_geometries(&geometries, limits)?;
+        for (index, geometry) in geometries.iter().take(usable).enumerate() {
             let s_m = geometry.number("s")?;
             let [x_m, y_m] = [geometry.number("x")?, geometry.number("y")?];
             let heading_rad = geometry.number("hdg")?;
@@ -473,6 +571,7 @@ impl ReferenceLine {
                 direction: [libm::cos(heading_rad), libm::sin(heading_rad)],
                 end_m: 0.0,
                 max_curvature,
+                is_limited: usable < geometries.len(),
             });
             let [cosine, sine] = line.direction;
             let off_m = (x_m - line.origin_m[0] - s_m * cosine).abs()
@@ -480,12 +579,29 @@ impl ReferenceLine {
             let turns = (heading_rad - line.heading_rad).abs() > HEADING_TOLERANCE_RAD
                 || off_m > LATERAL_TOLERANCE_M;
             if turns && max_curvature == 0.0 {
-                return Err(geometry.refuse("the road must be straight"));
+                limits.add(s_m, geometry.refuse("the road must be straight"))?;
+                line.is_limited |= index > 0;
+                break;
             }
             line.end_m = s_m + geometry.number("length")?;
         }
         line.ok_or_else(|| road.refuse("has no geometry"))
     }
+}
+
+/// Returns the number of geometries before the first one that is not supported, and their largest curvature.
+fn usable_geometries(geometries: &[Node<'_>], limits: &mut RoadLimits) -> Result<(usize, f64)> {
+    let mut max_curvature: f64 = 0.0;
+    for (index, geometry) in geometries.iter().enumerate() {
+        match curvature(*geometry) {
+            Ok(largest) => max_curvature = max_curvature.max(largest),
+            Err(error) => {
+                limits.add(geometry.number("s")?, error)?;
+                return Ok((index, max_curvature));
+            }
+        }
+    }
+    Ok((geometries.len(), max_curvature))
 }
 
 /// Returns the largest curvature of a geometry, which must be slight.
@@ -546,11 +662,12 @@ fn is_zero(node: Node<'_>, attributes: &[&str]) -> bool {
         .all(|name| matches!(node.optional_number(name), Ok(None | Some(0.0))))
 }
 
-fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
-    let offset_m = lane_offset_m(lanes)?;
+fn read_lanes(lanes: Node<'_>, limits: &mut RoadLimits) -> Result<Vec<Lane>> {
+    let offset_m = lane_offset_m(lanes, limits)?;
     let section = lanes.child("laneSection")?;
     if let Some(second) = lanes.named("laneSection").nth(1) {
-        return Err(second.refuse("the lanes must be the same along the road"));
+        let problem = "the lanes must be the same along the road";
+        limits.add(second.number("s")?, second.refuse(problem))?;
     }
     let mut lanes = Vec::new();
     for side in section.children() {
@@ -563,7 +680,7 @@ fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
         ensure_at_most(side, count, MAX_LANES, "lanes")?;
         let mut ordered = side
             .named("lane")
-            .map(|lane| read_lane(side, sign, lane))
+            .map(|lane| read_lane(side, sign, lane, limits))
             .collect::<Result<Vec<_>>>()?;
         ordered.sort_by_key(|(id, _)| id.abs());
         let mut inner_m = 0.0;
@@ -579,29 +696,36 @@ fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
     Ok(lanes)
 }
 
-/// Returns the distance of the lane 0 from the reference line, which must be constant.
-fn lane_offset_m(lanes: Node<'_>) -> Result<f64> {
+/// Returns the distance of the lane 0 from the reference line. A change of it limits the road.
+fn lane_offset_m(lanes: Node<'_>, limits: &mut RoadLimits) -> Result<f64> {
     let mut offset_m = None;
     for offset in lanes.named("laneOffset") {
         let a = offset.optional_number("a")?.unwrap_or(0.0);
         let is_constant = is_zero(offset, &["b", "c", "d"]);
         if !is_constant || *offset_m.get_or_insert(a) != a {
-            return Err(
-                offset.refuse("the distance of the lanes from the reference line must be constant")
-            );
+            let problem = "the distance of the lanes from the reference line must be constant";
+            let s_m = offset.optional_number("s")?.unwrap_or(0.0);
+            limits.add(s_m, offset.refuse(problem))?;
+            break;
         }
     }
     Ok(offset_m.unwrap_or(0.0))
 }
 
-/// Reads the number and the width of a lane; `sign` is that of the numbers of its side.
-fn read_lane(side: Node<'_>, sign: f64, lane: Node<'_>) -> Result<(i32, f64)> {
+/// Reads the number and the width of a lane; `sign` is that of the numbers of its side. A change of the width limits
+/// the road.
+fn read_lane(
+    side: Node<'_>,
+    sign: f64,
+    lane: Node<'_>,
+    limits: &mut RoadLimits,
+) -> Result<(i32, f64)> {
     let id = lane.number("id")?;
     let width = lane.child("width")?;
-    let second = lane.named("width").nth(1);
-    let changing = second.or_else(|| (!is_zero(width, &["b", "c", "d"])).then_some(width));
-    if let Some(changing) = changing {
-        return Err(changing.refuse("the width of a lane must be constant"));
+    let changing = (!is_zero(width, &["b", "c", "d"])).then_some(width);
+    if let Some(changing) = changing.or_else(|| lane.named("width").nth(1)) {
+        let s_m = changing.optional_number("sOffset")?.unwrap_or(0.0);
+        limits.add(s_m, changing.refuse("the width of a lane must be constant"))?;
     }
     if id.fract() != 0.0 || id.abs() > 1000.0 || id * sign <= 0.0 {
         return Err(lane.refuse(format!(

@@ -125,6 +125,10 @@ fn scripted_mps(vehicle: &VehicleSpec, time_s: f64) -> f64 {
             let braked_mps = brake.rate_mps2 * (time_s - brake.onset_s).max(0.0);
             (vehicle.speed_mps - braked_mps).max(brake.final_speed_mps)
         }
+        Driver::Profile(LeadProfile::Brake(brake)) => {
+            let braked_mps = brake.rate_mps2 * (time_s - brake.onset_s).max(0.0);
+            (vehicle.speed_mps - braked_mps).max(0.0)
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -179,6 +183,16 @@ fn files_for_clauses() -> Vec<(&'static str, Vec<(f64, f64)>)> {
             "init-profile",
             knots(&[(2.0, 16.0), (5.0, 16.0), (7.0, 20.0), (14.0, 20.0)]),
         ),
+        // The action of the vehicle under test ends at 5 s, or another one stops it at 3 s.
+        ("ego-action-runs", brakes_at(5.0)),
+        ("ego-action-replaced", brakes_at(3.0)),
+        // The scenario begins at 3 s, and the action of the vehicle under test ends at 5 s.
+        ("ego-activation", brakes_at(2.0)),
+        ("far-road", brakes_at(2.0)),
+        (
+            "before-bend",
+            knots(&[(2.0, 20.0), (12.0, 0.0), (14.0, 0.0)]),
+        ),
         ("straight-distance", brakes_at(straight_s)),
         ("lateral-distance", brakes_at(leaves_s)),
     ]
@@ -230,11 +244,97 @@ fn files_for_clauses_are_refused_for_the_right_reason() {
             "collision-with-position",
             "is not supported as a target, only EntityRef",
         ),
+        (
+            "in-bend",
+            "the road must be straight, or have bends with radii of 2000 m or more",
+        ),
     ] {
         let error = import_case(&format!("clauses/{name}.xosc")).expect_err(name);
         assert!(error.contains(reason), "{name}: {error}");
-        assert!(error.contains(&format!("{name}.xosc:")), "{error}");
+        let file = if name == "in-bend" {
+            "bend.xodr:"
+        } else {
+            ".xosc:"
+        };
+        assert!(error.contains(file), "{error}");
     }
+}
+
+/// Before its activation, a vehicle under test does its actions: it brakes from 20 m/s at 2.5 m/s² for two seconds.
+#[test]
+fn the_default_controller_drives_until_the_activation() {
+    let (scenario, notes) = import_case("clauses/ego-activation.xosc").unwrap();
+    let speed_mps = vehicle_under_test(&scenario).speed_mps;
+    assert!((speed_mps - 15.0).abs() < 1e-9, "{speed_mps}");
+    assert!(
+        !notes.iter().any(|note| note.contains("replaces this")),
+        "{notes:?}"
+    );
+}
+
+/// A pedestrian of 0.6 m walks at 1 m/s across a lane of 3.5 m, from 4 m beside its middle on.
+#[test]
+fn a_pedestrian_who_crosses_is_in_the_lane_while_the_body_is() {
+    for (name, start_s) in [("crossing-at-times", 1.0), ("crossing-at-speed", 2.0)] {
+        let (scenario, _) = import_case(&format!("clauses/{name}.xosc")).expect(name);
+        let pedestrian = scripted(&scenario)[0].clone();
+        assert!((pedestrian.length_m() - 0.5).abs() < 1e-6);
+        assert_near(time_s(pedestrian.enters), start_s + 4.0 - 2.05);
+        assert_near(time_s(pedestrian.leaves), start_s + 4.0 + 2.05);
+        assert_eq!(pedestrian.speed_mps, 0.0);
+        // The front is half of the width ahead of the middle.
+        let under_test = vehicle_under_test(&scenario);
+        let gap_m = pedestrian.position_m - 0.5 - under_test.position_m;
+        let expected_m = 420.0 - 0.25 - (300.0 + 4.1 / 3.0 + 4.1 / 2.0);
+        assert!((gap_m - expected_m).abs() < 0.01, "{name}: {gap_m}");
+        assert!(scripted_mps(&pedestrian, 5.0).abs() < 1e-9);
+    }
+}
+
+fn vehicle_under_test(scenario: &Scenario) -> VehicleSpec {
+    let mut vehicles = scenario.vehicles().iter();
+    let under_test = vehicles.find(|vehicle| vehicle.driver == Driver::UnderTest);
+    under_test.expect("a vehicle under test").clone()
+}
+
+/// Zeros behind the last digit, and an offset of all positions, do not change the motion.
+#[test]
+fn the_digits_of_a_file_do_not_change_the_motion() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../corpora/openscenario/clauses");
+    let road = std::fs::read(folder.join("road.xodr")).unwrap();
+    let text = std::fs::read_to_string(folder.join("recording-one-decimal.xosc")).unwrap();
+    let longer = text.replace("\" y=\"-5.25\" h", "00\" y=\"-5.2500\" h");
+    let longer = longer.replace("x=\"34000\"", "x=\"340.00\"");
+    assert_ne!(text, longer);
+    let imported = [text, longer].map(|text| {
+        let source = OpenScenarioSource::from_bytes(text.as_bytes(), &road).unwrap();
+        source.scenario(None, &[]).unwrap().scenario
+    });
+    assert_eq!(imported[0], imported[1]);
+}
+
+/// Positions with two decimals at 25 Hz of a vehicle that brakes at 3 m/s² from 20.037 to 8.037 m/s, and then
+/// accelerates; all are 1.234 mm farther.
+#[test]
+fn positions_with_two_decimals_do_not_become_hard_braking() {
+    let (scenario, _) = import_case("clauses/recording-two-decimals.xosc").unwrap();
+    let vehicle = of_length(&scenario, 4.2);
+    let lowest_mps2 = |from: usize, to: usize| {
+        (from..to)
+            .map(|step| 0.01 * step as f64)
+            .map(|time_s| {
+                100.0 * (scripted_mps(&vehicle, time_s + 0.01) - scripted_mps(&vehicle, time_s))
+            })
+            .fold(0.0, f64::min)
+    };
+    let [before, braking, after] = [
+        lowest_mps2(0, 260),
+        lowest_mps2(260, 740),
+        lowest_mps2(740, 1190),
+    ];
+    assert!(before > -0.1, "{before}");
+    assert!(braking > -3.6, "{braking}");
+    assert!(after > -0.1, "{after}");
 }
 
 /// A recorded vehicle brakes at 3 m/s² from 20 to 8 m/s and to standstill, and its positions have one decimal.

@@ -354,7 +354,8 @@ fn assumptions_and_content_without_influence_are_noted_with_their_lines() {
         panic!("two notes")
     };
     assert!(
-        relative.ends_with("SpeedAction: is relative to `ego`, as if it kept its speed"),
+        relative
+            .ends_with("SpeedAction: is relative to `ego`, as if the default controller drove it"),
         "{relative}"
     );
     assert!(

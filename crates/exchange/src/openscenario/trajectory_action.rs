@@ -8,6 +8,7 @@ use super::lateral::{LateralExtent, LateralMove};
 use super::limits::WORK_PER_SAMPLE;
 use super::place::{PlacePurpose, resolve_place, tilt};
 use super::replay::Replay;
+use super::resolution::grid_step_m;
 use super::speed_plan::take_samples;
 use super::storyboard::StoryAction;
 use super::trajectory::{self, PathVertex, rounding_m};
@@ -27,8 +28,8 @@ const STRAIGHT_M: f64 = 0.01;
 /// Largest slope of a trajectory to the lane: that of a lane change in one second at 20 km/h.
 const MAX_SLOPE: f64 = 0.65;
 
-/// Work for each vertex: to resolve and to follow it, and to measure the distance from it.
-const WORK_PER_VERTEX: u64 = 3 * WORK_PER_SAMPLE;
+/// Work for each vertex: to find its grid, to resolve and to follow it, and to measure the distance from it.
+const WORK_PER_VERTEX: u64 = 5 * WORK_PER_SAMPLE;
 
 pub(super) struct TrajectoryAction<'a> {
     pub(super) node: Node<'a>,
@@ -36,8 +37,8 @@ pub(super) struct TrajectoryAction<'a> {
     vertices: Vec<(f64, Node<'a>)>,
     /// `None` for a trajectory without times: the entity follows it at its own speed.
     timing: Option<TrajectoryTiming>,
-    /// Largest rounding error of the positions, in metres.
-    rounding_m: f64,
+    /// Step of the grid on which the positions along the road lie, in metres; 0 without one.
+    resolution_m: f64,
 }
 
 /// Reads an action that follows a trajectory.
@@ -63,16 +64,11 @@ pub(super) fn read_trajectory<'a>(
     let polyline = read_polyline(node.optional("TrajectoryRef").unwrap_or(node))?;
     let timing = TrajectoryTiming::read(node.child("TimeReference")?.single()?)?;
     let vertices = read_vertices(polyline, timing.as_ref())?;
-    let decimals = vertices.iter().map(|(_, position)| decimals(*position));
-    let times = vertices.first().zip(vertices.last());
-    let span_s = times.map_or(0.0, |(first, last)| last.0 - first.0);
-    let step_s = span_s / (vertices.len().max(2) - 1) as f64;
-    let rounding_m = rounding_m(decimals.fold(0, usize::max), step_s);
     Ok(StoryAction::Trajectory(TrajectoryAction {
         node,
+        resolution_m: resolution_m(&vertices)?,
         vertices,
         timing,
-        rounding_m,
     }))
 }
 
@@ -97,28 +93,43 @@ fn read_vertices<'a>(
     Ok(vertices)
 }
 
-/// Returns the largest number of decimals of a position along the road.
-fn decimals(position: Node<'_>) -> usize {
-    let texts = ["x", "s", "ds"].iter();
-    let texts = texts.filter_map(|name| position.raw(name));
-    texts.map(decimals_of).fold(0, usize::max)
+/// Returns the step of the grid on which the positions along the road lie; 0 without one.
+fn resolution_m(vertices: &[(f64, Node<'_>)]) -> Result<f64> {
+    let along = ["x", "s", "ds", "dsLane", "dx"].into_iter();
+    let across = ["y"].into_iter();
+    let [mut along_m, mut across_m] = [Vec::new(), Vec::new()];
+    for (_, position) in vertices {
+        along_m.push(first_number(*position, along.clone())?);
+        across_m.push(first_number(*position, across.clone())?);
+    }
+    // The direction of the trajectory in the coordinates of a world position.
+    let [along, across] = [&along_m, &across_m].map(|positions_m| {
+        let ends = positions_m.first().zip(positions_m.last());
+        ends.map_or(0.0, |(first_m, last_m)| (last_m - first_m).abs())
+    });
+    let length_m = along.hypot(across);
+    if length_m == 0.0 {
+        return Ok(0.0);
+    }
+    let share = |part_m: f64, positions_m: &[f64]| {
+        // A coordinate that contributes nothing has no part in the rounding.
+        if part_m > 0.0 {
+            part_m / length_m * grid_step_m(positions_m)
+        } else {
+            0.0
+        }
+    };
+    Ok(share(along, &along_m) + share(across, &across_m))
 }
 
-/// Returns the number of decimals of a number; many if it is no plain decimal number.
-fn decimals_of(text: &str) -> usize {
-    const MANY: usize = 20;
-    let text = text.trim();
-    match text.split_once('.') {
-        Some((_, decimals)) if decimals.bytes().all(|byte| byte.is_ascii_digit()) => decimals.len(),
-        None if text
-            .trim_start_matches('-')
-            .bytes()
-            .all(|byte| byte.is_ascii_digit()) =>
-        {
-            0
+/// Returns the first attribute that a position has, or 0.
+fn first_number<'n>(position: Node<'_>, names: impl Iterator<Item = &'n str>) -> Result<f64> {
+    for name in names {
+        if let Some(number) = position.optional_number(name)? {
+            return Ok(number);
         }
-        _ => MANY,
     }
+    Ok(0.0)
 }
 
 /// Returns the polyline of the trajectory in `holder`.
@@ -185,6 +196,12 @@ impl<'a> TrajectoryAction<'a> {
         self.vertices.first().map(|(_, position)| *position)
     }
 
+    /// Returns the time of the last vertex of a trajectory that starts at `start_s`.
+    pub(super) fn end_s(&self, start_s: f64) -> f64 {
+        let last = self.vertices.last();
+        last.map_or(start_s, |(time_s, _)| self.vertex_s(*time_s, start_s))
+    }
+
     /// Returns the time of a vertex of a trajectory that starts at `start_s`.
     fn vertex_s(&self, time_s: f64, start_s: f64) -> f64 {
         match &self.timing {
@@ -214,7 +231,7 @@ impl<'a> Replay<'a, '_> {
                 lateral_m,
             };
             if let Some(before) = vertices.last() {
-                check_along(*node, before, &vertex)?;
+                check_along(*node, before, &vertex, self.is_pedestrian(actor))?;
             }
             vertices.push(vertex);
         }
@@ -228,7 +245,11 @@ impl<'a> Replay<'a, '_> {
             let text = "pitch and roll in a trajectory have no influence";
             self.note_once(Some(node.note(text)));
         }
-        let purpose = PlacePurpose::Vertex;
+        let purpose = if self.is_pedestrian(actor) {
+            PlacePurpose::Obstacle
+        } else {
+            PlacePurpose::Vertex
+        };
         let lane_place = resolve_place(node, &[], self.entities, self.roads, purpose)?;
         let lane_place =
             lane_place.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
@@ -277,7 +298,8 @@ impl<'a> Replay<'a, '_> {
         )))
     }
 
-    /// Follows the vertices of a trajectory with times, and returns the end.
+    /// Follows the vertices of a trajectory with times, and returns the end. An entity with an active controller keeps
+    /// its lane.
     pub(super) fn follow_trajectory(
         &mut self,
         action: &TrajectoryAction<'a>,
@@ -289,6 +311,7 @@ impl<'a> Replay<'a, '_> {
         let Some(motion) = self.motion.get_mut(actor) else {
             return 0.0;
         };
+        let keeps_lane = motion.has_active_controller();
         motion.is_recorded = true;
         motion.follows_path = true;
         let moves = segments(vertices).filter(|[from, to]| from.lateral_m != to.lateral_m);
@@ -297,7 +320,7 @@ impl<'a> Replay<'a, '_> {
             extent: LateralExtent::Time(to.time_s - from.time_s),
             ..lateral_move(node, from, to)
         });
-        if let Some(first) = vertices.first() {
+        if let Some(first) = vertices.first().filter(|_| !keeps_lane) {
             motion.lateral.replace(first.time_s, moves, &motion.plan);
         }
         // The motion after the end of the scenario has no influence.
@@ -306,20 +329,26 @@ impl<'a> Replay<'a, '_> {
         let plan = &mut motion.plan;
         let start_s = vertices.first().map_or(0.0, |vertex| vertex.time_s);
         let before_mps = plan.at(start_s).speed_mps;
-        let off_m = trajectory::follow(plan, followed, action.rounding_m, limits_mps2);
+        let rounding_m = rounding_m(followed, action.resolution_m);
+        let off_m = trajectory::follow(plan, followed, rounding_m, limits_mps2);
         let start_mps = plan.at(start_s).speed_mps;
-        self.note_following(node, [before_mps, start_mps], off_m);
+        self.note_following(node, [before_mps, start_mps], (off_m, keeps_lane));
         vertices.last().map_or(0.0, |vertex| vertex.time_s)
     }
 
     /// Notes another initial speed than the stated one, and the largest distance from the polyline.
-    fn note_following(&mut self, node: Node<'a>, [stated_mps, start_mps]: [f64; 2], off_m: f64) {
+    fn note_following(
+        &mut self,
+        node: Node<'a>,
+        [stated_mps, start_mps]: [f64; 2],
+        (off_m, keeps_lane): (f64, bool),
+    ) {
         if start_mps != stated_mps {
             let start = format_fixed(start_mps, 2);
             let text = format!("the initial speed is that of the trajectory, {start} m/s");
             self.note_once(Some(node.note(text)));
         }
-        if off_m > NOTED_DISTANCE_M {
+        if off_m > NOTED_DISTANCE_M && !keeps_lane {
             self.note_once(Some(node.note(format!(
                 "the motion, smooth and within the limits of the vehicle, is up to {} m from the polyline",
                 format_fixed(off_m, 2)
@@ -335,10 +364,22 @@ impl<'a> Replay<'a, '_> {
         start: Firing,
     ) -> Result<ActionGoal> {
         let node = action.node;
-        let vertices = self.trajectory_vertices(action, actor, start.time_s)?;
+        let is_controlled = self.is_controlled(actor);
+        self.mark_replaced(node, actor);
+        let vertices = self.trajectory_vertices(action, actor, start.time_s);
+        if let (true, Err(ScenarioImportError::Refused { .. })) = (is_controlled, &vertices) {
+            // The vehicle never reaches an end outside its lane.
+            return Ok(ActionGoal::Time(f64::INFINITY));
+        }
+        let vertices = vertices?;
+        if self.is_pedestrian(actor) && crosses(&vertices) {
+            self.cross_lanes(node, actor, start, &vertices);
+            return Ok(ActionGoal::LateralMove);
+        }
         let Some(motion) = self.motion.get_mut(actor) else {
             return Ok(ActionGoal::LateralMove);
         };
+        let keeps_m = is_controlled.then(|| motion.lateral.at(start.time_s, &motion.plan));
         let moves = segments(&vertices).map(|[from, to]| LateralMove {
             start_s: start.time_s,
             extent: LateralExtent::Distance {
@@ -346,22 +387,82 @@ impl<'a> Replay<'a, '_> {
                 length_m: to.position_m - from.position_m,
             },
             depends_on_controller: start.depends_on_controller,
+            from_m: keeps_m.unwrap_or(from.lateral_m),
+            to_m: keeps_m.unwrap_or(to.lateral_m),
             ..lateral_move(node, from, to)
         });
-        let longer_m: f64 = segments(&vertices)
+        motion.lateral.replace(start.time_s, moves, &motion.plan);
+        if !is_controlled {
+            self.note_longer_way(node, &vertices);
+        }
+        Ok(ActionGoal::LateralMove)
+    }
+
+    /// Notes by how much the way along a trajectory without times is longer than along the lane.
+    fn note_longer_way(&mut self, node: Node<'a>, vertices: &[PathVertex]) {
+        let longer_m: f64 = segments(vertices)
             .map(|[from, to]| {
                 let along_m = to.position_m - from.position_m;
                 along_m.hypot(to.lateral_m - from.lateral_m) - along_m.abs()
             })
             .sum();
-        motion.lateral.replace(start.time_s, moves, &motion.plan);
         let note = node.note(format!(
             "without times, the vehicle has its speed along the lane: up to {} m farther than along the trajectory",
             format_fixed(longer_m, 2)
         ));
         self.note_once((longer_m > NOTED_DISTANCE_M).then_some(note));
-        Ok(ActionGoal::LateralMove)
     }
+}
+
+impl<'a> Replay<'a, '_> {
+    fn is_pedestrian(&self, actor: usize) -> bool {
+        let body = self.entities.get(actor);
+        body.is_some_and(|body| body.is_pedestrian)
+    }
+
+    /// Lets a pedestrian walk across the lanes at its speed, up to the first vertex from which the trajectory leads
+    /// along them. The plan counts the distance from then on.
+    fn cross_lanes(
+        &mut self,
+        node: Node<'a>,
+        actor: usize,
+        start: Firing,
+        vertices: &[PathVertex],
+    ) {
+        let Some(motion) = self.motion.get_mut(actor) else {
+            return;
+        };
+        let along_m = motion.position_m(start.time_s);
+        motion.crosses_at_m = Some(along_m);
+        let mut from_m = motion.plan.at(start.time_s).position_m;
+        let mut moves = Vec::new();
+        for [from, to] in segments(vertices).take_while(is_across) {
+            let length_m = (to.lateral_m - from.lateral_m).abs();
+            moves.push(LateralMove {
+                start_s: start.time_s,
+                extent: LateralExtent::Distance { from_m, length_m },
+                depends_on_controller: start.depends_on_controller,
+                ..lateral_move(node, from, to)
+            });
+            from_m += length_m;
+        }
+        motion.walks_on |= moves.len() + 1 < vertices.len();
+        motion
+            .lateral
+            .replace(start.time_s, moves.into_iter(), &motion.plan);
+    }
+}
+
+/// Returns true if a trajectory begins with a movement across the lanes.
+fn crosses(vertices: &[PathVertex]) -> bool {
+    segments(vertices)
+        .next()
+        .is_some_and(|pair| is_across(&pair))
+}
+
+fn is_across([from, to]: &[PathVertex; 2]) -> bool {
+    let across_m = (to.lateral_m - from.lateral_m).abs();
+    across_m > STRAIGHT_M && (to.position_m - from.position_m).abs() <= STRAIGHT_M
 }
 
 /// Returns the pairs of adjacent vertices.
@@ -384,11 +485,16 @@ fn lateral_move(node: Node<'_>, from: PathVertex, to: PathVertex) -> LateralMove
     }
 }
 
-/// Refuses a trajectory that turns away from the direction of the lane.
-fn check_along(node: Node<'_>, before: &PathVertex, vertex: &PathVertex) -> Result<()> {
+/// Refuses a trajectory that turns away from the direction of the lane, unless it may cross the lanes.
+fn check_along(
+    node: Node<'_>,
+    before: &PathVertex,
+    vertex: &PathVertex,
+    may_cross: bool,
+) -> Result<()> {
     let along_m = vertex.position_m - before.position_m;
     let across_m = (vertex.lateral_m - before.lateral_m).abs();
-    if across_m > STRAIGHT_M && across_m > MAX_SLOPE * along_m {
+    if !may_cross && across_m > STRAIGHT_M && across_m > MAX_SLOPE * along_m {
         return Err(node.refuse("the trajectory crosses the lanes: vehicles drive along them"));
     }
     if along_m < -START_TOLERANCE_M {
