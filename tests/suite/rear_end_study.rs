@@ -30,7 +30,7 @@ fn error_of_study(arguments: &[&str], folder: &Path) -> Option<String> {
 #[test]
 fn results_of_another_program_are_refused() {
     let program = env!("CARGO_BIN_EXE_crumple");
-    for command in ["run", "sensitivity"] {
+    for command in ["run", "repeat", "sensitivity"] {
         let folder = temp_folder();
         fs::create_dir(folder.path().join("runs")).unwrap();
         fs::write(folder.path().join("runs/program.sha256"), "0".repeat(64)).unwrap();

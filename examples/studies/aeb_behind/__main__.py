@@ -1,12 +1,13 @@
 """Runs the study of rear-end collisions, and recomputes its page. Needs only Python 3.11.
 
     aeb_behind run CRUMPLE FOLDER           runs all assessments in FOLDER
+    aeb_behind repeat CRUMPLE FOLDER        runs all assessments in FOLDER with another seed
     aeb_behind sensitivity CRUMPLE FOLDER   runs the study with one assumption changed at a time
     aeb_behind page FOLDER PAGE [--write]   compares the page, its pictures and tables with the runs, or writes them
     aeb_behind bootstrap FOLDER             compares the errors of the answer about the field with those of a bootstrap
     aeb_behind second CRUMPLE [--write]     runs crumple and the second simulator, and compares ten figures
 
-`run` and `sensitivity` refuse a folder with results of another program, and `page` results of other settings.
+`run`, `repeat` and `sensitivity` refuse a folder with results of another program, and `page` results of other settings.
 """
 
 import json
@@ -37,11 +38,14 @@ if __name__ == "__main__":
     match [argument for argument in sys.argv[1:] if argument != "--write"]:
         case ["run", crumple, folder]:
             study.run(Path(crumple).resolve(), Path(folder))
+        case ["repeat", crumple, folder]:
+            study.repeat(Path(crumple).resolve(), Path(folder))
         case ["sensitivity", crumple, folder]:
             sensitivity.sensitivity(Path(crumple).resolve(), Path(folder), None, False)
         case ["page", folder, path]:
             folder, path = Path(folder), Path(path)
-            page.check(path, study.load(folder), suite_verdicts(folder), is_written)
+            results, others = study.load(folder), study.load(folder / "repeated", study.SEED_OF_REPETITION)
+            page.check(path, results, others, suite_verdicts(folder), is_written)
             sensitivity.sensitivity(None, folder, path, is_written)
         case ["bootstrap", folder]:
             bootstrap.main(Path(folder))

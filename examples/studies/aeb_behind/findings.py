@@ -302,6 +302,21 @@ def answer(question, results):
     return answer_of_field(question, results, by_system.get("all", {}), thresholds)
 
 
+def repeated(results, others):
+    """Returns the number of comparisons with the same side in both runs, and that of all.
+
+    Sides are those of 0, of the limit of the collisions that are left, or of the field's value.
+    """
+    counts = [0, 0]
+    for question in QUESTIONS["questions"]:
+        reference = {"left": question.get("limit"), "field": 100 * question.get("struck", 0)}.get(question["kind"], 0)
+        first, second = (compare(question, of)[0] for of in (results, others))
+        counts[0] += sum(key in second and side(bounds, reference) == side(second[key], reference)
+                         for key, bounds in first.items())
+        counts[1] += len(first)
+    return counts
+
+
 def all_answers(results):
     """Returns the list of questions with their answers."""
     lines = [f"{place}. **{question['text']}** {answer(question, results)}"

@@ -7,7 +7,7 @@ import textwrap
 
 from drives import FOLLOWERS, change, interval, level, quantile, weights
 from findings import (SPACE, all_answers, assisted_systems, combinations, comparisons, compare, conforming_level,
-                      is_easy, number, relative_change, relative_curve, systems_answers, threshold_s)
+                      is_easy, number, relative_change, relative_curve, repeated, systems_answers, threshold_s)
 from study import ADDED, ASSISTED, BRAKE, CONFORMING, HUMAN, NONE, QUESTIONS, SYSTEMS
 
 TITLE = "# Emergency braking and rear-end collisions"
@@ -327,7 +327,22 @@ def check_files(page, files, is_written):
             sys.exit(f"error: {folder / name} differs from the runs")
 
 
-def check(page, results, passing, is_written):
+REPEATED = "of COMPARISONS comparisons lie on the same side in both"
+
+
+def check_repetition(page, results, others, is_written):
+    """Compares the count of repeated comparisons with the page, or writes it."""
+    count, comparisons_of_all = repeated(results, others)
+    ending = REPEATED.replace("COMPARISONS", str(comparisons_of_all))
+    text = page.read_text()
+    found = re.search(r"\w+ " + re.escape(ending), text)
+    if found is None or (found[0] != f"{count} {ending}" and not is_written):
+        sys.exit(f"error: {page} does not say `{count} {ending}`")
+    if is_written:
+        page.write_text(text.replace(found[0], f"{count} {ending}"))
+
+
+def check(page, results, others, passing, is_written):
     """Compares page, pictures and tables of values with the runs, or writes them."""
     first = first_part(results)
     check_first_part(page, first, is_written)
@@ -336,6 +351,8 @@ def check(page, results, passing, is_written):
               "conforming": conforming_table(results), "field, human": field_table(results, ["human"]),
               "field, four types": field_table(results, FOLLOWERS)}
     check_tables(page, tables, is_written)
+    check_repetition(page, results, others, is_written)
     check_files(page, {"field.svg": field_picture(results), "field.csv": field_csv(results),
-                       "results.csv": results_csv(results), "answers.csv": answers_csv(results)}, is_written)
+                       "results.csv": results_csv(results), "answers.csv": answers_csv(results),
+                       "repeated.csv": answers_csv(others)}, is_written)
     check_length(page, first)

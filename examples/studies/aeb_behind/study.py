@@ -16,6 +16,9 @@ SPACE = HERE.parent / "emergencies.toml"
 CONFIG = HERE.parent / "aeb-behind.toml"
 QUESTIONS = tomllib.loads((HERE / "questions.toml").read_text())
 SYSTEMS = tomllib.loads(CONFIG.read_text())["controllers"]
+SEED = tomllib.loads(CONFIG.read_text())["seed"]
+# Seed of the repeated run, chosen and committed before it.
+SEED_OF_REPETITION = 20261130
 # Drivers of crumple that observe the vehicle behind. They were added after the run: no question names them.
 ADDED = ["predictive", "road"]
 NONE, BRAKE, HUMAN, ASSISTED, CONFORMING = ("emergency-brake,ttc_s=0", "emergency-brake,ttc_s=2", "human",
@@ -70,6 +73,7 @@ class Assessment:
     draws: int
     after_collision: str
     estimator: str
+    seed: int = SEED
 
     def inputs(self):
         """Returns {name: text} of all files that it reads."""
@@ -79,7 +83,7 @@ class Assessment:
         systems = [Path(name).name if name.endswith(".toml") else name for name in self.systems]
         config = tomllib.loads(CONFIG.read_text())
         config.update(controllers=systems, subject=systems[-1], estimator=self.estimator, draws=self.draws,
-                      distributions=[f"{name}.toml" for name in self.spaces])
+                      seed=self.seed, distributions=[f"{name}.toml" for name in self.spaces])
         config["harm"]["after_collision"] = self.after_collision
         lines = [f"{key} = {toml(value)}" for key, value in config.items()]
         return texts | {"study.toml": "\n".join(lines) + "\n"}
@@ -134,7 +138,7 @@ def systems(estimator):
     return [name for name in SYSTEMS if estimator == "kalman" or name in named or name.startswith("human")]
 
 
-def assessments(after_collision, estimator):
+def assessments(after_collision, estimator, seed=SEED):
     """Returns the assessments of one condition."""
     draws, condition = tomllib.loads(CONFIG.read_text())["draws"], f"{after_collision}-{estimator}"
     emergencies = {"emergencies": SPACE.read_text()}
@@ -142,7 +146,7 @@ def assessments(after_collision, estimator):
     parts = [("", emergencies, systems(estimator)), ("-conforming", conforming, [HUMAN, CONFORMING])]
     if estimator == "kalman":
         parts.append(("-added", emergencies, ADDED))
-    return [Assessment(condition + ending, spaces, of, draws, after_collision, estimator)
+    return [Assessment(condition + ending, spaces, of, draws, after_collision, estimator, seed)
             for ending, spaces, of in parts]
 
 
@@ -150,15 +154,25 @@ def run(crumple, folder):
     """Runs the suite, and all assessments of the study."""
     claim(crumple, folder)
     run_suite(crumple, folder / "suite")
+    run_assessments(crumple, folder, SEED)
+
+
+def repeat(crumple, folder):
+    """Runs all assessments of the study with another seed."""
+    claim(crumple, folder)
+    run_assessments(crumple, folder / "repeated", SEED_OF_REPETITION)
+
+
+def run_assessments(crumple, folder, seed):
     for condition in CONDITIONS:
-        for assessment in assessments(*condition):
+        for assessment in assessments(*condition, seed):
             assessment.run(crumple, folder)
             print(assessment.name, flush=True)
 
 
-def load(folder):
+def load(folder, seed=SEED):
     """Returns {condition: {(space, system): Drives}}."""
-    return {condition: {key: drives for assessment in assessments(*condition)
+    return {condition: {key: drives for assessment in assessments(*condition, seed)
                         for key, drives in assessment.read(folder).items()}
             for condition in CONDITIONS}
 
