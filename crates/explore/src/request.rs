@@ -69,9 +69,7 @@ pub(crate) fn parse_test_driver(
     let Some(text) = text else {
         return Ok(None);
     };
-    let settings = text
-        .trim_end_matches(':')
-        .trim_start_matches("test-driver");
+    let settings = text.trim_end_matches(':').trim_start_matches("test-driver");
     TestDriverSettings::parse(settings)
         .map(Some)
         .map_err(|error| RequestError::invalid("test_driver", error))
