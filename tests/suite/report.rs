@@ -270,6 +270,29 @@ fn the_committed_report_was_made_from_a_clean_commit() {
     }
 }
 
+/// A follower can cause a collision from behind, so the first page names its driver with every figure about collisions.
+#[test]
+fn the_first_page_names_the_followers() {
+    let page = &BUILT_IN_ASSESSMENT.first_page;
+    let about_collisions: Vec<&String> = page
+        .against
+        .iter()
+        .chain(&page.speaks_for)
+        .filter(|line| line.contains("collision ") || line.contains("failure"))
+        .collect();
+    assert!(about_collisions.len() > 5, "{about_collisions:?}");
+    for line in about_collisions {
+        assert!(line.contains("drives the follower)"), "{line}");
+    }
+    let markdown = read_committed("assessment.md");
+    let (_, after_claims) = markdown.split_once("| claim |").expect("a table");
+    assert!(
+        after_claims
+            .contains("\nFollowers: in the paper's scenarios, `paper` and `high-risk`, `baseline`"),
+        "{after_claims:.2000}"
+    );
+}
+
 /// JUnit has one test per gate, which fails if the gate does not hold; refuted claims fail no build.
 #[test]
 fn junit_holds_each_gate_as_a_test() {
