@@ -282,7 +282,7 @@ fn the_first_page_names_the_followers() {
         .collect();
     assert!(about_collisions.len() > 5, "{about_collisions:?}");
     for line in about_collisions {
-        assert!(line.contains("drives the follower)"), "{line}");
+        assert!(line.contains("drives the follower"), "{line}");
     }
     let markdown = read_committed("assessment.md");
     let (_, after_claims) = markdown.split_once("| claim |").expect("a table");

@@ -202,7 +202,7 @@ const OLD_NAMES_0_3_0: [ExpectedOutput; 12] = [
     (
         "assess assessment.toml --out report --against assessment.json",
         0,
-        "0 worse, 0 new, 0 gone, 0 changed without being better or worse",
+        "0 worse, 8 new, 0 gone, 0 changed without being better or worse",
     ),
     (
         "falsify --controller match-leader --against idm --space space.toml --budget 30 --seed 3 --out \
