@@ -509,8 +509,7 @@ impl TwoSidedFilter {
             self.raise_level(state);
             return self.execute_stored();
         }
-        if level_mps2 < keep_mps2
-            && self.passes_at_lower_level(state, target_mps2, level_mps2, choice)
+        if !self.keeps_level() && self.passes_at_lower_level(state, target_mps2, level_mps2, choice)
         {
             return target_mps2;
         }

@@ -183,7 +183,7 @@ impl TwoSidedSettings {
     /// Parses settings of the level, the class and the errors, without a comma before the first, for a certificate.
     ///
     /// # Errors
-    /// As for [`Self::parse`]; [`InvalidSetting::NoEffect`] for `raise`.
+    /// Those of [`Self::parse`], and [`InvalidSetting::NoEffect`] for `raise`.
     pub fn parse_for_certificate(text: &str) -> Result<Self, InvalidSetting> {
         let comma = if text.is_empty() { "" } else { "," };
         let settings = Self::parse(&format!("{comma}{text}"))?;
@@ -197,7 +197,8 @@ impl TwoSidedSettings {
     /// true state.
     ///
     /// # Errors
-    /// As for [`Self::parse_for_certificate`]; [`InvalidSetting::NoEffect`] for `level` and for errors of observation.
+    /// Those of [`Self::parse_for_certificate`], and [`InvalidSetting::NoEffect`] for `level` and for errors of
+    /// observation.
     ///
     /// ```
     /// use crumple_sim::control::TwoSidedSettings;
