@@ -87,21 +87,23 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Set up", SETUP),
 ];
 const SETUP: &[&str] = &["new", "completions", "man"];
+/// Heading of the options in the help of every command.
+const FOR_EVERY_COMMAND: &str = "Options of every command";
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
 #[derive(Parser)]
 #[command(version, after_help = EXIT_CODES, max_term_width = 100)]
 struct Cli {
     /// Print no progress and no notes on standard error; errors are still shown
-    #[arg(long, short, global = true)]
+    #[arg(long, short, global = true, help_heading = FOR_EVERY_COMMAND)]
     quiet: bool,
     /// Also start programs and FMUs that scenarios, spaces, suites, campaigns or certificates name. Without it, crumple
     /// starts only those that this command line names, or a configuration or controller file on it
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND)]
     allow_external: bool,
     /// Number of threads, 1 to 1024 [default: RAYON_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
     /// process may use]
-    #[arg(long, global = true, value_name = "N", value_parser = args::whole_number::<usize>(1..=1024))]
+    #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND, value_name = "N", value_parser = args::whole_number::<usize>(1..=1024))]
     jobs: Option<usize>,
     #[command(subcommand)]
     command: CliCommand,
