@@ -195,7 +195,7 @@ def test_a_variable_without_a_number_is_an_error():
     result = subprocess.run(
         [sys.executable, "-c", program], env=environment, check=True, capture_output=True, text=True
     )
-    assert result.stdout == "OMP_NUM_THREADS: must be a whole number, found `many`\n"
+    assert result.stdout == "OMP_NUM_THREADS: must be a whole number from 0 to 1024, found `many`\n"
 
 
 def test_a_program_may_end_as_soon_as_its_call_returns():
@@ -365,7 +365,7 @@ def test_pools_of_counts(tmp_path):
     with pytest.raises(crumple.RateError, match="seed 6 occurs twice"):
         crumple.rate.pool([*counts, counts[1]])
     with pytest.raises(
-        crumple.RateError, match="the seeds 5 to 8 have gaps: 1 seed is missing, the first of them is 7"
+        crumple.RateError, match="the seeds 5 to 8 are incomplete: 1 seed is missing, the first of them is 7"
     ):
         crumple.rate.pool([counts[0], counts[1], counts[3]])
     with pytest.raises(crumple.RateError, match=r"`registration\.runs` differs"):

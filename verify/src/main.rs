@@ -1,7 +1,7 @@
-//! `crumple-verify [--pool [--seeds RANGE]] [--policy FILE] [--work-limit N] FILE...`: accepts or rejects certificates.
+//! Accepts or rejects certificates: `crumple-verify [--pool [--seeds RANGE]] [--policy FILE] [--work-limit N] FILE...`.
 //!
-//! With `--pool`, concludes one failure rate from the counts of several seeds ([`crumple_verify::pool`]). `--seeds 0-99`
-//! states the expected seeds, of which none may be missing. Reads the policy that a certificate names from the
+//! With `--pool`, concludes one failure rate from the counts of several seeds ([`crumple_verify::pool`]). `--seeds
+//! 0-99` states the expected seeds, of which none may be missing. Reads the policy that a certificate names from the
 //! certificate's folder, unless `--policy` gives it. Rejects a certificate that takes more than N billion operations to
 //! check; by default 4000, about ten minutes of one core. Exit code 0 if all are accepted, 1 if one is rejected, 2 if
 //! one is not a certificate or an option cannot be used, 3 if standard output cannot be written. A closed output pipe

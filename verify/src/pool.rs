@@ -363,21 +363,20 @@ impl Pool {
 
     /// Checks that no seed of the range is missing, and returns the first and the last one.
     fn check_range(&self) -> Result<[u64; 2], PoolRejection> {
-        let keys = || self.seeds.keys().copied();
-        let found = keys().next().zip(keys().next_back());
+        let seeds = || self.seeds.keys().copied();
+        let own_range = seeds().next().zip(seeds().next_back());
         let expected = self.expected.clone().map(RangeInclusive::into_inner);
-        let (first, last) = expected.or(found).ok_or(PoolRejection::Empty)?;
+        let (first, last) = expected.or(own_range).ok_or(PoolRejection::Empty)?;
         // All seeds are in the range.
-        let count = (last - first).saturating_sub(keys().count() as u64 - 1);
+        let count = (last - first).saturating_sub(self.seeds.len() as u64 - 1);
         if count == 0 {
             return Ok([first, last]);
         }
-        let mut in_order = (first..=last).zip(keys().map(Some).chain(std::iter::repeat(None)));
-        let gap = in_order.find(|(seed, found)| Some(*seed) != *found);
+        let missing = (first..=last).find(|seed| !self.seeds.contains_key(seed));
         Err(PoolRejection::MissingSeeds {
             first,
             last,
-            missing: gap.map_or(last, |(missing, _)| missing),
+            missing: missing.unwrap_or(last),
             count,
         })
     }
