@@ -1047,11 +1047,11 @@ fn jobs_set_the_number_of_threads() {
         &run_crumple(folder.path(), "doctor --jobs 0"),
         "must be a whole number from 1 to 1024",
     );
-    let mut without_number = command(folder.path(), "doctor");
-    without_number.env("RAYON_NUM_THREADS", "x\u{1b}");
-    let refused = without_number.output().unwrap();
-    assert_refused(
-        &refused,
-        "RAYON_NUM_THREADS: must be a whole number from 0 to 1024, found `x\\u001b`",
-    );
+    for (value, shown) in [("x\u{1b}", "x\\u001b"), ("1025", "1025")] {
+        let mut unusable = command(folder.path(), "doctor");
+        unusable.env("RAYON_NUM_THREADS", value);
+        let problem =
+            format!("RAYON_NUM_THREADS: must be a whole number from 0 to 1024, found `{shown}`");
+        assert_refused(&unusable.output().unwrap(), &problem);
+    }
 }
