@@ -1,6 +1,7 @@
 """Pickles, threads, executors and pooled counts."""
 
 import copyreg
+import hashlib
 import json
 import multiprocessing
 import os
@@ -360,6 +361,18 @@ def test_a_count_in_which_every_run_fails_is_pooled():
     assert crumple.rate.pool(counts[1:]).rate_at_most == 1.0
 
 
+def test_counts_of_a_python_controller_are_pooled_if_its_identity_is_a_hash():
+    identity = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    known = crumple.Controller(brake_late, interval_s=0.1, name="late", identity=identity)
+    counts = [crumple.rate(known, "high-risk", runs=50, seed=seed) for seed in (0, 1)]
+    assert counts[0].certificate["statement"]["rate"]["registration"]["configuration"]["controller_sha256"] == identity
+    assert crumple.rate.pool(counts, seeds=range(2)).failures == counts[0].failures + counts[1].failures
+    other = crumple.rate(OWN, "high-risk", runs=50)
+    assert other.certificate is None
+    with pytest.raises(crumple.RateError, match="cannot be pooled: `registration.configuration.controller_sha256`"):
+        crumple.rate.pool([other])
+
+
 class Counting(ThreadPoolExecutor):
     """Executor that counts tasks."""
 
@@ -416,7 +429,7 @@ def test_pools_of_counts(tmp_path):
     missing = "the seeds 5 to 9 are incomplete: 1 seed is missing, the first of them is 9"
     with pytest.raises(crumple.RateError, match=missing):
         crumple.rate.pool(counts, seeds=range(5, 10))
-    with pytest.raises(crumple.RateError, match="seed 8 is not one of the expected seeds 5 to 7"):
+    with pytest.raises(crumple.RateError, match="seed 8 is outside the expected range 5-7"):
         crumple.rate.pool(counts, seeds=range(5, 8))
     for wrong in (4, [5, 6, 7, 8], range(5, 5), range(5, 9, 2)):
         with pytest.raises(TypeError, match="seeds: must be a range, such as range"):

@@ -77,7 +77,7 @@ pub enum PoolRejection {
         other_block: usize,
     },
     /// A certificate has a seed outside the expected range.
-    #[error("seed {seed} is not one of the expected seeds {first} to {last}")]
+    #[error("seed {seed} is outside the expected range {first}-{last}")]
     UnexpectedSeed {
         /// Seed of the certificate.
         seed: u64,

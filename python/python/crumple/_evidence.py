@@ -36,9 +36,10 @@ class Rate:
     tally: dict[str, Any] = field(repr=False)
     """Content of ``progress.json`` in the run folder."""
     certificate: dict[str, Any] | None = field(repr=False)
-    """Content of ``certificate.json``, for ``crumple check``; None for a comparison that shows nothing."""
+    """Content of ``certificate.json``, for ``crumple check``; None for a comparison that shows nothing, and for a
+    controller whose identity is no SHA-256."""
     words: str
-    """Conclusion of the checker, or the reason why a comparison shows nothing."""
+    """Conclusion of the checker, or the reason why there is no certificate."""
     data: dict[str, Any] = field(repr=False, compare=False)
     """Output of ``crumple verify rate --format json``; without ``folder``, it names none."""
     text: str = field(repr=False, compare=False)
@@ -56,7 +57,8 @@ class Rate:
 
     @property
     def rate_at_most(self) -> float | None:
-        """Certified upper bound of the failure rate, 1.0 if every run failed; None for a comparison."""
+        """Certified upper bound of the failure rate, 1.0 if every run failed; None for a comparison, and without a
+        certificate."""
         if self.certificate is None:
             return None
         bound = self.certificate["statement"].get("rate", {}).get("rate_at_most")
@@ -134,10 +136,11 @@ class _RateFunction:
         """Counts failures in random scenarios and certifies a bound of their rate, as ``crumple verify rate`` does.
 
         With ``against`` both controllers run the same scenarios, and the claim is that the first one fails less often.
-        A controller in Python needs an identity, to which the certificate refers. ``folder`` is the run folder with
-        registration, progress and certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified
-        rate in a space that was fitted to recordings is also given per hour and per 1000 km, with the uncertainty of
-        the data from ``resamples`` of the episodes (0, or 79 to 2000) with 500 more runs each.
+        A controller in Python needs an identity. If that is a SHA-256 in hexadecimal, such as that of its file, the
+        count has a certificate, which refers to it. ``folder`` is the run folder with registration, progress and
+        certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified rate in a space that was
+        fitted to recordings is also given per hour and per 1000 km, with the uncertainty of the data from ``resamples``
+        of the episodes (0, or 79 to 2000) with 500 more runs each.
 
         ``executor`` distributes the runs over its workers, in at most ``tasks`` tasks (1 to 1000) of at least 2000
         runs; ``folder`` is used here only. The result has the same bits as without it. ``threads`` and ``executor`` are

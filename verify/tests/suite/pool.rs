@@ -364,7 +364,7 @@ fn the_program_pools_files() {
     let missing = "pool: rejected: the seeds 4 to 8 are incomplete: 2 seeds are missing, the first of them is 7\n";
     assert_eq!(run_expecting("4-8"), (1, missing.to_owned()));
     let (code, text) = run_expecting("4-5");
-    let other = "6.json: seed 6 is not one of the expected seeds 4 to 5\n";
+    let other = "6.json: seed 6 is outside the expected range 4-5\n";
     assert!(code == 1 && text.ends_with(other), "{text}");
     assert_eq!(run_expecting("6-4").0, 2);
     assert_eq!(run_with(&["--seeds", "4-6"], &[&paths[0]]).0, 2);
