@@ -195,14 +195,18 @@ impl BlockSource for PythonBlockSource {
     }
 }
 
-/// Pools certificates of several seeds, each as JSON. Returns the report of `crumple check --pool --format json`, and
-/// its text.
+/// Pools certificates of several seeds, each as JSON. `seeds` are the first and the last expected seed. Returns the
+/// report of `crumple check --pool --format json`, and its text.
 #[pyfunction]
 pub(crate) fn pool<'py>(
     py: Python<'py>,
     certificates: Vec<String>,
+    seeds: Option<(u64, u64)>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let mut pool = PoolCheck::new(WorkLimit::default(), controller::controllers());
+    if let Some((first, last)) = seeds {
+        pool = pool.with_expected_seeds(first..=last);
+    }
     for (index, text) in certificates.iter().enumerate() {
         let refuse = |error: &dyn std::fmt::Display| {
             rate_error(py, &format!("certificate {index} of the pool: {error}"))

@@ -1,6 +1,7 @@
 """Pickles, threads, executors and pooled counts."""
 
 import copyreg
+import hashlib
 import json
 import multiprocessing
 import os
@@ -189,13 +190,14 @@ def test_the_first_setting_determines_the_number_of_threads():
     assert thread_count("", RAYON_NUM_THREADS="0", OMP_NUM_THREADS="") == len(os.sched_getaffinity(0))
 
 
-def test_a_variable_without_a_number_is_an_error():
+@pytest.mark.parametrize("value", ["many", "1025"])
+def test_a_variable_without_a_usable_number_is_an_error(value):
     program = "import crumple\ntry: crumple.simulate('paper-1')\nexcept ValueError as error: print(error)"
-    environment = os.environ | {"RAYON_NUM_THREADS": "", "OMP_NUM_THREADS": "many"}
+    environment = os.environ | {"RAYON_NUM_THREADS": "", "OMP_NUM_THREADS": value}
     result = subprocess.run(
         [sys.executable, "-c", program], env=environment, check=True, capture_output=True, text=True
     )
-    assert result.stdout == "OMP_NUM_THREADS: must be a whole number, found `many`\n"
+    assert result.stdout == f"OMP_NUM_THREADS: must be a whole number from 0 to 1024, found `{value}`\n"
 
 
 def test_a_program_may_end_as_soon_as_its_call_returns():
@@ -346,6 +348,58 @@ def test_training_in_python_equals_the_command(tmp_path):
         assert python.read_bytes() == program.read_bytes(), name
 
 
+def test_a_count_in_which_every_run_fails_is_pooled():
+    options = {"runs": 30, "estimator": "truth", "confidence": 0.9}
+    counts = [crumple.rate("baseline", "high-risk", seed=seed, **options) for seed in (0, 1)]
+    assert [count.failures for count in counts] == [29, 30]
+    assert counts[1].rate_at_most == 1.0
+    assert counts[1].words.startswith("rate: no bound below 1 at confidence 0.9")
+    pooled = crumple.rate.pool(counts, seeds=range(2))
+    assert (pooled.failures, pooled.runs) == (59, 60)
+    # Root p of 1 - p^60 = 0.1.
+    assert abs(pooled.rate_at_most - 0.9 ** (1 / 60)) < 1e-7
+    assert crumple.rate.pool(counts[1:]).rate_at_most == 1.0
+
+
+def test_counts_of_a_python_controller_are_pooled_if_its_identity_is_a_hash():
+    identity = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    known = crumple.Controller(brake_late, interval_s=0.1, name="late", identity=identity)
+    counts = [crumple.rate(known, "high-risk", runs=50, seed=seed) for seed in (0, 1)]
+    assert counts[0].certificate["statement"]["rate"]["registration"]["configuration"]["controller_sha256"] == identity
+    assert crumple.rate.pool(counts, seeds=range(2)).failures == counts[0].failures + counts[1].failures
+    other = crumple.rate(OWN, "high-risk", runs=50)
+    assert other.certificate is None
+    with pytest.raises(crumple.RateError, match="cannot be pooled: `registration.configuration.controller_sha256`"):
+        crumple.rate.pool([other])
+
+
+class Counting(ThreadPoolExecutor):
+    """Executor that counts tasks."""
+
+    submitted = 0
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.submitted += 1
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_tasks_limits_the_number_of_tasks():
+    draws = [crumple.space("high-risk").draw(seed=4, index=index) for index in range(40)]
+    for tasks, expected in ((1, 1), (2, 2), (1000, 3)):
+        with Counting(2) as executor:
+            shared = crumple.rate("idm", "high-risk", runs=5300, executor=executor, tasks=tasks, threads=1)
+            assert executor.submitted == expected
+        assert shared == crumple.rate("idm", "high-risk", runs=5300)
+        with Counting(2) as executor:
+            crumple.simulate(draws, "idm", executor=executor, tasks=tasks, trace=False, threads=1)
+            assert executor.submitted == expected
+    for tasks in (0, 1001, 2.5, None):
+        with pytest.raises(crumple.RateError, match="tasks: must be a whole number from 1 to 1000"):
+            crumple.rate("idm", runs=100, tasks=tasks)
+        with pytest.raises(crumple.RunError, match="tasks: must be a whole number from 1 to 1000"):
+            crumple.simulate(draws, "idm", tasks=tasks)
+
+
 def test_pools_of_counts(tmp_path):
     counts = [crumple.rate("baseline", "high-risk", runs=300, seed=seed) for seed in range(5, 9)]
     pooled = crumple.rate.pool(counts)
@@ -365,8 +419,22 @@ def test_pools_of_counts(tmp_path):
     with pytest.raises(crumple.RateError, match="seed 6 occurs twice"):
         crumple.rate.pool([*counts, counts[1]])
     with pytest.raises(
-        crumple.RateError, match="the seeds 5 to 8 have gaps: 1 seed is missing, the first of them is 7"
+        crumple.RateError, match="the seeds 5 to 8 are incomplete: 1 seed is missing, the first of them is 7"
     ):
         crumple.rate.pool([counts[0], counts[1], counts[3]])
+    assert not pooled.is_expected_range
+    expected = crumple.rate.pool(counts, seeds=range(5, 9))
+    assert expected.is_expected_range
+    assert (expected.seeds, expected.rate_at_most) == (pooled.seeds, pooled.rate_at_most)
+    missing = "the seeds 5 to 9 are incomplete: 1 seed is missing, the first of them is 9"
+    with pytest.raises(crumple.RateError, match=missing):
+        crumple.rate.pool(counts, seeds=range(5, 10))
+    with pytest.raises(crumple.RateError, match="seed 8 is outside the expected range 5-7"):
+        crumple.rate.pool(counts, seeds=range(5, 8))
+    for wrong in (4, [5, 6, 7, 8], range(5, 5), range(5, 9, 2)):
+        with pytest.raises(TypeError, match="seeds: must be a range, such as range"):
+            crumple.rate.pool(counts, seeds=wrong)
+    with pytest.raises(crumple.RateError, match="seeds: must be a whole number from 0 to"):
+        crumple.rate.pool(counts, seeds=range(-1, 3))
     with pytest.raises(crumple.RateError, match=r"`registration\.runs` differs"):
         crumple.rate.pool([counts[0], crumple.rate("baseline", "high-risk", runs=400, seed=6)])

@@ -3,10 +3,12 @@
 mod pool;
 
 use std::io::ErrorKind;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use super::global_options::GlobalOptions;
 use clap::Args;
+use crumple_verify::pool::parse_seed_range;
 use crumple_verify::{Certificate, CertificateParseError, ClaimSubject, WorkLimit};
 
 use super::output_format::OutputFormat;
@@ -38,8 +40,9 @@ of the blocks. The selection is random by default, so that the author of a certi
 
 --pool derives one rate from the certificates of `verify rate` with several seeds. They must have the same \
 controller, space, estimator, number of runs, confidence level and release, and the seeds must form a range without \
-gaps. All certificates of a range that was fixed beforehand must \
-be given, because a seed that is left out could hide failures. Exit code 1 if a certificate or the pool is refused. \
+gaps. Give all certificates of a range that was fixed beforehand, because a seed that is left out could hide \
+failures; --seeds states this range, so that a missing first or last seed is noticed, too. Exit code 1 if a \
+certificate or the pool is refused. \
 A pool has at most 10 000 certificates, and 1 000 000 000 runs.
 
 Examples:
@@ -47,7 +50,7 @@ Examples:
   crumple check paper-1.json --scenario paper-1
   crumple check crumple-rate/certificate.json --rerun
   crumple check crumple-rate/certificate.json --rerun=10
-  crumple check --pool rate-*/certificate.json --rerun=1")]
+  crumple check --pool --seeds 0-99 rate-*/certificate.json --rerun=1")]
 pub(super) struct Check {
     /// Certificates
     #[arg(required = true, value_name = "CERTIFICATE")]
@@ -55,6 +58,9 @@ pub(super) struct Check {
     /// Derive one failure rate from the certificates of several seeds
     #[arg(long, conflicts_with_all = ["scenario", "policy"])]
     pool: bool,
+    /// Expected seeds of the pool, such as 0-99: none may be missing, and no other may occur
+    #[arg(long, value_name = "RANGE", requires = "pool", value_parser = parse_seed_range)]
+    seeds: Option<RangeInclusive<u64>>,
     /// Also check that the certificates are about this scenario
     #[arg(long, value_name = "S")]
     scenario: Option<PathBuf>,

@@ -269,7 +269,7 @@ pub enum ProvedClaim {
     Kernel,
     /// A failure rate is bounded.
     Rate {
-        /// Upper bound of the rate.
+        /// Upper bound of the rate; 1 if the counts show none.
         max_rate: f64,
         /// Confidence level.
         confidence: f64,
@@ -337,9 +337,9 @@ impl std::fmt::Display for ProvedClaim {
                 "kernel: full braking avoids a collision from every state in it, and no command does from \
                  any other state",
             ),
-            Self::Rate { max_rate: at_most, confidence } => {
-                let at_most = round_up(*at_most);
-                write!(formatter, "rate: at most {at_most} at confidence {confidence}, if its counts are right")
+            Self::Rate { max_rate, confidence } => {
+                let bound = rate::describe_bound(*max_rate);
+                write!(formatter, "rate: {bound} at confidence {confidence}, if its counts are right")
             }
             Self::FailsLessOften { confidence } => write!(
                 formatter,

@@ -3,13 +3,14 @@
 //! Certificates whose registrations differ only in the seed count independent samples of one distribution. The sum of
 //! their failures is therefore binomial in all runs, and bounds the rate as in [`rate`](crate::rate). That holds only
 //! if no count was left out: a seed that may be omitted could hide failures. The seeds must therefore form a range
-//! without gaps, which the claim states. Nothing in the certificates shows when the range was fixed.
+//! without gaps, which the claim states. Only [`Pool::of_seeds`] shows that the first or the last seed is missing.
+//! Nothing in the certificates shows when the range was fixed.
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::RangeInclusive;
 
 use crate::certificate::{Certificate, CertificateProvenance};
-use crate::number::round_up;
-use crate::rate::{OPS_PER_RUN, tail_upper_bound_by_powers};
+use crate::rate::{OPS_PER_RUN, describe_bound, tail_upper_bound_by_powers};
 use crate::registration::{MAX_RUNS, Registration};
 use crate::rejection::Rejection;
 use crate::scope::Scope;
@@ -24,6 +25,10 @@ pub const MAX_POOLED_BLOCKS: usize = 10_000_000;
 
 /// Assumption of the claim of a pool, besides those of its certificates.
 pub const FIXED_RANGE_ASSUMPTION: &str = "the range of seeds was fixed before the first run";
+
+/// Caveat of a pool without an expected range.
+pub const UNSTATED_RANGE_CAVEAT: &str = "the range of seeds is that of the certificates: a first or last seed that was \
+                                         left out is noticed only if the expected range is given (--seeds)";
 
 /// Largest distance of a bound from the smallest accepted one, relative to its distance from the observed rate.
 const RELATIVE_TOLERANCE: f64 = 1e-7;
@@ -71,15 +76,25 @@ pub enum PoolRejection {
         /// Index of the other block.
         other_block: usize,
     },
+    /// A certificate has a seed outside the expected range.
+    #[error("seed {seed} is outside the expected range {first}-{last}")]
+    UnexpectedSeed {
+        /// Seed of the certificate.
+        seed: u64,
+        /// First expected seed.
+        first: u64,
+        /// Last expected seed.
+        last: u64,
+    },
     /// Seeds of the range are missing.
     #[error(
-        "the seeds {first} to {last} have gaps: {} missing, the first of them is {missing}",
+        "the seeds {first} to {last} are incomplete: {} missing, the first of them is {missing}",
         describe_count(*count)
     )]
     MissingSeeds {
-        /// Smallest seed of the pool.
+        /// First seed of the range.
         first: u64,
-        /// Largest seed of the pool.
+        /// Last seed of the range.
         last: u64,
         /// First missing seed.
         missing: u64,
@@ -101,14 +116,23 @@ pub enum PoolRejection {
         /// Number of runs.
         runs: u64,
     },
-    /// So many runs failed that no bound below 1 follows.
-    #[error("{failures} of {runs} runs failed: no bound on the rate follows")]
-    NoBound {
-        /// Number of failures.
-        failures: u64,
-        /// Number of runs.
-        runs: u64,
-    },
+}
+
+/// A text is no range of seeds.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("must be a range of seeds, such as 0-99")]
+pub struct InvalidSeedRange;
+
+/// Reads a range of seeds, such as `0-99`, as in a Slurm array.
+///
+/// # Errors
+/// [`InvalidSeedRange`] for other texts, and a range that ends before it begins.
+pub fn parse_seed_range(text: &str) -> Result<RangeInclusive<u64>, InvalidSeedRange> {
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    match (first.parse(), last.parse()) {
+        (Ok(first), Ok(last)) if first <= last => Ok(first..=last),
+        _ => Err(InvalidSeedRange),
+    }
 }
 
 fn describe_seeds(first: u64, last: u64) -> String {
@@ -128,6 +152,7 @@ fn describe_count(seeds: u64) -> String {
 /// Certificates of one configuration and different seeds.
 #[derive(Debug, Clone, Default)]
 pub struct Pool {
+    expected: Option<RangeInclusive<u64>>,
     subject: Option<PoolSubject>,
     seeds: BTreeMap<u64, SeedCount>,
     /// Place of each block, by its hash.
@@ -175,10 +200,12 @@ pub struct PooledRate {
     pub runs: u64,
     /// Failures of all seeds.
     pub failures: u64,
-    /// Upper bound of the rate.
+    /// Upper bound of the rate; 1 if the counts show none.
     pub max_rate: f64,
     /// Confidence level.
     pub confidence: f64,
+    /// True if the range of seeds was given for the check, false if it is that of the certificates.
+    pub is_expected_range: bool,
     /// SHA-256 of the digests of the certificates, in hexadecimal, in the order of their seeds, with a line feed after
     /// each.
     pub sha256: String,
@@ -192,8 +219,8 @@ impl std::fmt::Display for PooledRate {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             formatter,
-            "rate: at most {} at confidence {}, for {}, if the counts are right",
-            round_up(self.max_rate),
+            "rate: {} at confidence {}, for {}, if the counts are right",
+            describe_bound(self.max_rate),
             self.confidence,
             describe_seeds(self.first_seed, self.last_seed)
         )
@@ -201,11 +228,21 @@ impl std::fmt::Display for PooledRate {
 }
 
 impl Pool {
+    /// Creates a pool that must have all of these seeds, and no others.
+    #[must_use]
+    pub fn of_seeds(seeds: RangeInclusive<u64>) -> Self {
+        Self {
+            expected: Some(seeds),
+            ..Self::default()
+        }
+    }
+
     /// Checks a certificate alone, and adds it.
     ///
     /// # Errors
-    /// [`PoolRejection`] if it proves nothing, is not about the failures of one controller, differs from the others in
-    /// more than its seed and counts, or repeats a seed or a block of runs. The pool is then unchanged.
+    /// [`PoolRejection`] if it is rejected, is not about the failures of one controller, differs from the others in
+    /// more than its seed and counts, has an unexpected seed, or repeats a seed or a block of runs. The pool is then
+    /// unchanged.
     pub fn add(
         &mut self,
         certificate: &Certificate,
@@ -226,9 +263,7 @@ impl Pool {
         if let Some(common) = &self.subject {
             common.compare(&subject)?;
         }
-        if self.seeds.contains_key(&seed) {
-            return Err(PoolRejection::RepeatedSeed { seed });
-        }
+        self.check_seed(seed)?;
         let blocks = self.place_new_blocks(seed, claim)?;
         self.subject.get_or_insert(subject);
         self.blocks.extend(blocks);
@@ -238,6 +273,20 @@ impl Pool {
         };
         self.seeds.insert(seed, count);
         Ok(())
+    }
+
+    /// Checks that a seed is expected, and new.
+    fn check_seed(&self, seed: u64) -> Result<(), PoolRejection> {
+        if let Some(expected) = &self.expected
+            && !expected.contains(&seed)
+        {
+            let [first, last] = [*expected.start(), *expected.end()];
+            return Err(PoolRejection::UnexpectedSeed { seed, first, last });
+        }
+        match self.seeds.contains_key(&seed) {
+            true => Err(PoolRejection::RepeatedSeed { seed }),
+            false => Ok(()),
+        }
     }
 
     /// Returns the places of the blocks of a certificate, none of which may occur twice.
@@ -280,16 +329,12 @@ impl Pool {
     /// Concludes the smallest bound that follows from all certificates, to about seven digits.
     ///
     /// # Errors
-    /// [`PoolRejection`] if seeds are missing, or no bound follows.
+    /// [`PoolRejection`] if seeds are missing, there are too many runs, or the check takes too long.
     pub fn conclude(&self, limit: WorkLimit) -> Result<PooledRate, PoolRejection> {
-        let (Some(subject), Some((&first, _)), Some((&last, _))) = (
-            &self.subject,
-            self.seeds.first_key_value(),
-            self.seeds.last_key_value(),
-        ) else {
+        let Some(subject) = &self.subject else {
             return Err(PoolRejection::Empty);
         };
-        self.check_range(first, last)?;
+        let [first_seed, last_seed] = self.check_range()?;
         let registration = &subject.registration;
         let runs = registration.runs.saturating_mul(self.seeds.len() as u64);
         if runs > MAX_RUNS {
@@ -298,38 +343,42 @@ impl Pool {
         let counts = self.seeds.values();
         let failures = counts.fold(0, |sum: u64, count| sum.saturating_add(count.failures));
         let work = OpBudget::new(limit);
-        let max_rate = upper_bound([failures, runs], registration.confidence, &work)?;
         let digests = self
             .seeds
             .values()
             .map(|count| format!("{}\n", count.sha256));
         Ok(PooledRate {
-            first_seed: first,
-            last_seed: last,
+            first_seed,
+            last_seed,
             runs,
             failures,
-            max_rate: max_rate.ok_or(PoolRejection::NoBound { failures, runs })?,
+            max_rate: upper_bound([failures, runs], registration.confidence, &work)?,
             confidence: registration.confidence,
+            is_expected_range: self.expected.is_some(),
             sha256: canonical::sha256(digests.collect::<String>()),
-            scope: subject.scope(first, last, runs),
+            scope: subject.scope(first_seed, last_seed, runs),
             assumptions: subject.assumptions.clone(),
         })
     }
 
-    fn check_range(&self, first: u64, last: u64) -> Result<(), PoolRejection> {
-        let expected = (first..=last).zip(self.seeds.keys());
-        let gap = expected
-            .into_iter()
-            .find(|(expected, seed)| expected != *seed);
-        match gap {
-            None => Ok(()),
-            Some((missing, _)) => Err(PoolRejection::MissingSeeds {
-                first,
-                last,
-                missing,
-                count: (last - first).saturating_sub(self.seeds.len() as u64 - 1),
-            }),
+    /// Checks that no seed of the range is missing, and returns the first and the last one.
+    fn check_range(&self) -> Result<[u64; 2], PoolRejection> {
+        let seeds = || self.seeds.keys().copied();
+        let own_range = seeds().next().zip(seeds().next_back());
+        let expected = self.expected.clone().map(RangeInclusive::into_inner);
+        let (first, last) = expected.or(own_range).ok_or(PoolRejection::Empty)?;
+        // All seeds are in the range.
+        let count = (last - first).saturating_sub(self.seeds.len() as u64 - 1);
+        if count == 0 {
+            return Ok([first, last]);
         }
+        let missing = (first..=last).find(|seed| !self.seeds.contains_key(seed));
+        Err(PoolRejection::MissingSeeds {
+            first,
+            last,
+            missing: missing.unwrap_or(last),
+            count,
+        })
     }
 }
 
@@ -492,14 +541,14 @@ impl TailSearch<'_> {
     }
 }
 
-/// Returns an accepted bound close to the smallest one; `None` if none below 1 is accepted.
+/// Returns an accepted bound close to the smallest one; 1 if none below 1 is accepted.
 fn upper_bound(
     [failures, runs]: [u64; 2],
     confidence: f64,
     work: &OpBudget,
-) -> Result<Option<f64>, Rejection> {
+) -> Result<f64, Rejection> {
     if failures >= runs {
-        return Ok(None);
+        return Ok(1.0);
     }
     let search = TailSearch {
         failures,
@@ -507,8 +556,7 @@ fn upper_bound(
         allowed: 1.0 - confidence,
         work,
     };
-    let accepted = search.smallest_accepted()?;
-    Ok(Some(accepted).filter(|accepted| *accepted < 1.0))
+    search.smallest_accepted()
 }
 
 #[cfg(test)]
@@ -516,7 +564,7 @@ mod tests {
     use super::*;
     use crate::rate::binomial_tail_upper_bound;
 
-    fn bound(failures: u64, runs: u64, confidence: f64) -> Option<f64> {
+    fn bound(failures: u64, runs: u64, confidence: f64) -> f64 {
         let work = OpBudget::new(WorkLimit::default());
         upper_bound([failures, runs], confidence, &work).unwrap()
     }
@@ -526,7 +574,7 @@ mod tests {
     fn bounds_are_accepted_and_hardly_above_the_smallest() {
         for runs in [1_u64, 7, 1000, 138_149, 100_000_000, MAX_RUNS] {
             let exact = -(0.001_f64.ln() / runs as f64).exp_m1();
-            let bound = bound(0, runs, 0.999).unwrap();
+            let bound = bound(0, runs, 0.999);
             assert!(
                 bound >= exact && bound < exact * (1.0 + 1e-5),
                 "{runs} {bound} {exact}"
@@ -541,7 +589,7 @@ mod tests {
             (294_000, 300_000),
         ] {
             for confidence in [0.9, 0.999, 1.0 - 1e-6] {
-                let bound = bound(failures, runs, confidence).unwrap();
+                let bound = bound(failures, runs, confidence);
                 let tail = |rate: f64| binomial_tail_upper_bound(failures, runs, rate);
                 let allowed = (1.0 - confidence) * (1.0 + 1e-9);
                 assert!(
@@ -557,8 +605,8 @@ mod tests {
     }
 
     #[test]
-    fn no_bound_follows_if_all_runs_failed_or_the_limit_is_too_low() {
-        assert_eq!(bound(10, 10, 0.9), None);
+    fn the_bound_is_1_if_all_runs_failed_and_undecided_if_the_limit_is_too_low() {
+        assert_eq!(bound(10, 10, 0.9), 1.0);
         let work = OpBudget::new(WorkLimit::from_operations(1000));
         let refused = upper_bound([0, 1000], 0.9, &work).unwrap_err();
         assert!(matches!(refused, Rejection::BudgetExceeded { .. }));

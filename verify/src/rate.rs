@@ -23,10 +23,12 @@ use serde::{Deserialize, Serialize};
 use crate::assumption::Assumption;
 use crate::bounded;
 use crate::certificate::CertificateProvenance;
+use crate::number;
 use crate::registration::{CertifiedBlock, Registration};
 pub use crate::registration::{MAX_BLOCKS, MAX_RUNS};
 use crate::rejection::Rejection;
 use crate::scope::Scope;
+use crate::work::OpBudget;
 use crate::{CheckInput, Claim, ClaimSubject, ProvedClaim};
 
 /// Maximum number of runs for a tail with one factor per run; above it, powers of the common factor are used.
@@ -44,7 +46,8 @@ pub struct RateClaim {
     pub registration_sha256: String,
     /// k, the runs that failed.
     pub failures: u64,
-    /// p₀, read as the nearest floating-point number.
+    /// p₀, read as the nearest floating-point number. 1 claims nothing: a count of which every run failed has a
+    /// certificate for its place in a [`pool`](crate::pool).
     pub rate_at_most: f64,
     /// Failures and hash of each block of runs, in order. Since version 2.
     #[serde(
@@ -81,27 +84,18 @@ impl Claim for RateClaim {
     fn check(&self, input: &CheckInput<'_>) -> Result<ProvedClaim, Rejection> {
         let registration = &self.registration;
         registration.check(&self.registration_sha256)?;
-        if self.failures >= registration.runs {
-            return Err(Rejection::invalid(
-                "failures",
-                "equal the number of runs: no bound on the rate follows",
-            ));
+        if self.failures > registration.runs {
+            return Err(Rejection::invalid("failures", "exceed the number of runs"));
         }
-        if !(self.rate_at_most > 0.0 && self.rate_at_most < 1.0) {
+        if !(self.rate_at_most > 0.0 && self.rate_at_most <= 1.0) {
             return Err(Rejection::invalid(
                 "rate_at_most",
-                "must be between 0 and 1",
+                "must be above 0 and at most 1",
             ));
         }
-        input
-            .work
-            .charge_or_reject(registration.runs.saturating_mul(OPS_PER_RUN))?;
-        check_tail(
-            self.failures,
-            registration.runs,
-            self.rate_at_most,
-            registration.confidence,
-        )?;
+        if self.rate_at_most < 1.0 {
+            self.check_bound(input.work)?;
+        }
         Ok(ProvedClaim::Rate {
             max_rate: self.rate_at_most,
             confidence: registration.confidence,
@@ -114,12 +108,35 @@ impl Claim for RateClaim {
 }
 
 impl RateClaim {
+    /// Checks that the counts show a bound below 1.
+    fn check_bound(&self, work: &OpBudget) -> Result<(), Rejection> {
+        let Registration {
+            runs, confidence, ..
+        } = self.registration;
+        if self.failures == runs {
+            return Err(Rejection::invalid(
+                "rate_at_most",
+                "must be 1, because every run failed",
+            ));
+        }
+        work.charge_or_reject(runs.saturating_mul(OPS_PER_RUN))?;
+        check_tail(self.failures, runs, self.rate_at_most, confidence)
+    }
+
     /// Returns the blocks with counts for two controllers, of which the second never fails.
     fn two_controller_blocks(&self) -> Vec<CertifiedBlock<[u64; 2]>> {
         let blocks = self.blocks.iter();
         blocks
             .map(|(failures, sha256)| ([*failures, 0], sha256.clone()))
             .collect()
+    }
+}
+
+/// Describes an upper bound of a rate, of which 1 is none.
+pub(crate) fn describe_bound(max_rate: f64) -> String {
+    match max_rate < 1.0 {
+        true => format!("at most {}", number::round_up(max_rate)),
+        false => "no bound below 1".to_owned(),
     }
 }
 

@@ -9,9 +9,9 @@ pub const MAX_THREADS: usize = 1024;
 /// Variables of the environment that state a number of threads. The first one that is set counts.
 const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "OMP_NUM_THREADS"];
 
-/// A variable of the environment has no number of threads.
+/// A variable of the environment has no usable number of threads.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{variable}: must be a whole number, found `{found}`")]
+#[error("{variable}: must be a whole number from 0 to {MAX_THREADS}, found `{found}`")]
 pub struct InvalidThreadCount {
     /// Name of the variable.
     pub variable: &'static str,
@@ -24,10 +24,10 @@ pub struct InvalidThreadCount {
 /// group.
 ///
 /// `OMP_NUM_THREADS` may be a list for nested levels, as in OpenMP 5.2, section 21.1.2; its first number counts. A
-/// variable that is empty or 0 is not set, as in rayon. More than [`MAX_THREADS`] in a variable mean so many.
+/// variable that is empty or 0 is not set, as in rayon.
 ///
 /// # Errors
-/// [`InvalidThreadCount`] if the variable that counts has no whole number.
+/// [`InvalidThreadCount`] if the variable that counts has no whole number up to [`MAX_THREADS`].
 pub fn thread_count(requested: Option<usize>) -> Result<usize, InvalidThreadCount> {
     let cores = || thread::available_parallelism().map_or(1, usize::from);
     Ok(explicit_thread_count(requested)?.unwrap_or_else(cores))
@@ -55,7 +55,7 @@ fn choose(
     for variable in VARIABLES {
         let value = value_of(variable).unwrap_or_default();
         if let Some(count) = parse_count(variable, &value)? {
-            return Ok(Some(count.min(MAX_THREADS)));
+            return Ok(Some(count));
         }
     }
     Ok(None)
@@ -73,8 +73,9 @@ fn parse_count(variable: &'static str, value: &str) -> Result<Option<usize>, Inv
     };
     match first.parse() {
         _ if value.trim().is_empty() => Ok(None),
-        Ok(count) => Ok(Some(count).filter(|count| *count > 0)),
-        Err(_) => Err(invalid()),
+        Ok(0) => Ok(None),
+        Ok(count @ 1..=MAX_THREADS) => Ok(Some(count)),
+        _ => Err(invalid()),
     }
 }
 
@@ -103,17 +104,27 @@ mod tests {
             assert_eq!(chosen(None, not_set, not_set), Ok(None), "{not_set:?}");
             assert_eq!(chosen(None, not_set, "unset"), Ok(None), "{not_set:?}");
         }
-        assert_eq!(chosen(None, "99999999", ""), Ok(Some(MAX_THREADS)));
+        assert_eq!(chosen(None, "1024", ""), Ok(Some(MAX_THREADS)));
     }
 
     #[test]
-    fn a_variable_without_a_number_is_an_error() {
-        for value in ["many", "-2", "4,2", "1.5", "99999999999999999999999"] {
-            let expected = format!("RAYON_NUM_THREADS: must be a whole number, found `{value}`");
+    fn a_variable_without_a_usable_number_is_an_error() {
+        for value in [
+            "many",
+            "-2",
+            "4,2",
+            "1.5",
+            "1025",
+            "99999999999999999999999",
+        ] {
+            let expected = format!(
+                "RAYON_NUM_THREADS: must be a whole number from 0 to 1024, found `{value}`"
+            );
             assert_eq!(chosen(None, value, "7"), Err(expected));
         }
-        for value in ["many", ",2", "2 4"] {
-            let expected = format!("OMP_NUM_THREADS: must be a whole number, found `{value}`");
+        for value in ["many", ",2", "2 4", "2000,2"] {
+            let expected =
+                format!("OMP_NUM_THREADS: must be a whole number from 0 to 1024, found `{value}`");
             assert_eq!(chosen(None, "0", value), Err(expected));
         }
     }

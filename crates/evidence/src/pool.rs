@@ -3,6 +3,8 @@
 mod json;
 mod text;
 
+use std::ops::RangeInclusive;
+
 use crumple_controllers::Controllers;
 use crumple_sim::engine::NamedController;
 use crumple_verify::{Certificate, Pool, PoolRejection, PooledRate, WorkLimit};
@@ -67,6 +69,15 @@ impl PoolCheck {
         }
     }
 
+    /// Accepts only these seeds, and none may be missing. Call it before [`add`](Self::add).
+    #[must_use]
+    pub fn with_expected_seeds(self, seeds: RangeInclusive<u64>) -> Self {
+        Self {
+            pool: Pool::of_seeds(seeds),
+            ..self
+        }
+    }
+
     /// Prepares to repeat runs. Controllers that are not built in must be in `given`. Call it before
     /// [`add`](Self::add).
     #[must_use]
@@ -107,7 +118,7 @@ impl PoolCheck {
     /// Concludes the bound that follows from all counts.
     ///
     /// # Errors
-    /// [`PoolRejection`] if seeds are missing, or no bound follows.
+    /// [`PoolRejection`] if seeds are missing, there are too many runs, or the check takes too long.
     pub fn conclude(&self) -> Result<PoolReport, PoolRejection> {
         let claim = self.pool.conclude(self.limit)?;
         let example = self.example.as_ref().ok_or(PoolRejection::Empty)?;

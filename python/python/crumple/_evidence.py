@@ -18,7 +18,7 @@ from crumple._crumple import count_blocks as _count_blocks
 from crumple._crumple import pool as _pool
 from crumple._crumple import rate as _rate
 from crumple._crumple import worst_case as _worst_case
-from crumple._executor import Executor, Tasks, check_executor, split
+from crumple._executor import MAX_TASKS, Executor, Tasks, check_executor, split
 from crumple._numbers import whole_number
 from crumple._simulate import ControllerLike, Progress, ScenarioLike, SpaceLike, simulate
 from crumple._simulate import scenario as find_scenario
@@ -36,9 +36,10 @@ class Rate:
     tally: dict[str, Any] = field(repr=False)
     """Content of ``progress.json`` in the run folder."""
     certificate: dict[str, Any] | None = field(repr=False)
-    """Content of ``certificate.json``, for ``crumple check``; None if the counts show nothing."""
+    """Content of ``certificate.json``, for ``crumple check``; None for a comparison that shows nothing, and for a
+    controller whose identity is no SHA-256."""
     words: str
-    """Conclusion of the checker, or the reason why the counts show nothing."""
+    """Conclusion of the checker, or the reason why there is no certificate."""
     data: dict[str, Any] = field(repr=False, compare=False)
     """Output of ``crumple verify rate --format json``; without ``folder``, it names none."""
     text: str = field(repr=False, compare=False)
@@ -56,7 +57,8 @@ class Rate:
 
     @property
     def rate_at_most(self) -> float | None:
-        """Certified upper bound of the failure rate; None for a comparison, and if nothing is shown."""
+        """Certified upper bound of the failure rate, 1.0 if every run failed; None for a comparison, and without a
+        certificate."""
         if self.certificate is None:
             return None
         bound = self.certificate["statement"].get("rate", {}).get("rate_at_most")
@@ -92,6 +94,11 @@ class PooledRate:
         return range(first, last + 1)
 
     @property
+    def is_expected_range(self) -> bool:
+        """True if the seeds were given, false if they are those of the counts."""
+        return bool(self.data["is_expected_range"])
+
+    @property
     def rate_at_most(self) -> float:
         """Upper bound of the failure rate that the checker accepted."""
         return float(self.data["rate_at_most"])
@@ -123,18 +130,21 @@ class _RateFunction:
         resume: bool = False,
         threads: int | None = None,
         executor: Executor | None = None,
+        tasks: int = MAX_TASKS,
         progress: Progress | None = None,
     ) -> Rate:
         """Counts failures in random scenarios and certifies a bound of their rate, as ``crumple verify rate`` does.
 
         With ``against`` both controllers run the same scenarios, and the claim is that the first one fails less often.
-        A controller in Python needs an identity, to which the certificate refers. ``folder`` is the run folder with
-        registration, progress and certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified
-        rate in a space that was fitted to recordings is also given per hour and per 1000 km, with the uncertainty of
-        the data from ``resamples`` of the episodes (0, or 79 to 2000) with 500 more runs each.
+        A controller in Python needs an identity. If that is a SHA-256 in hexadecimal, such as that of its file, the
+        count has a certificate, which refers to it. ``folder`` is the run folder with registration, progress and
+        certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified rate in a space that was
+        fitted to recordings is also given per hour and per 1000 km, with the uncertainty of the data from ``resamples``
+        of the episodes (0, or 79 to 2000) with 500 more runs each.
 
-        ``executor`` distributes the runs over its workers; ``folder`` is used here only. The result has the same bits
-        as without it. ``threads`` and ``executor`` are those of :func:`crumple.simulate`.
+        ``executor`` distributes the runs over its workers, in at most ``tasks`` tasks (1 to 1000) of at least 2000
+        runs; ``folder`` is used here only. The result has the same bits as without it. ``threads`` and ``executor`` are
+        those of :func:`crumple.simulate`.
         """
         runs = whole_number("runs", runs, 1, 1_000_000_000, RateError)
         seed = whole_number("seed", seed, 0, 2**64 - 1, RateError)
@@ -148,7 +158,8 @@ class _RateFunction:
             "seed": seed,
             "estimator": estimator,
         }
-        counter = None if executor is None else _BlockCounter(executor, parameters, threads)
+        tasks = whole_number("tasks", tasks, 1, MAX_TASKS, RateError)
+        counter = None if executor is None else _BlockCounter(executor, parameters, threads, tasks)
         with contextlib.ExitStack() as stack:
             if counter is not None:
                 stack.callback(counter.cancel)
@@ -160,18 +171,22 @@ class _RateFunction:
             return Rate(**fields)
 
     @staticmethod
-    def pool(counts: Iterable[Rate | Mapping[str, Any] | str | os.PathLike[str]]) -> PooledRate:
+    def pool(
+        counts: Iterable[Rate | Mapping[str, Any] | str | os.PathLike[str]], seeds: range | None = None
+    ) -> PooledRate:
         """Concludes one rate from the counts of several seeds, as ``crumple check --pool`` does.
 
         ``counts`` are results of :func:`crumple.rate`, contents of certificates, or paths of certificates. They must
         have the same controller, space, estimator, number of runs, confidence level and release, and their seeds must
-        form a range without gaps. The range must have been fixed
-        before the first run, because a seed that is left out could hide failures. Raises :class:`RateError` otherwise.
+        form a range without gaps. The range must have been fixed before the first run, because a seed that is left out
+        could hide failures. With ``seeds``, such as ``range(100)``, a missing first or last seed is noticed, too.
+        Raises :class:`RateError` otherwise.
         """
         if isinstance(counts, Rate | Mapping | str | bytes | os.PathLike):
             kind = type(counts).__name__
             raise TypeError(f"counts: must be a list of results, certificates or paths, found a single {kind}")
-        return PooledRate(*_pool([_certificate_text(count) for count in counts]))
+        expected = None if seeds is None else _ends(seeds)
+        return PooledRate(*_pool([_certificate_text(count) for count in counts], expected))
 
     def __reduce__(self) -> str:
         return "rate"
@@ -179,6 +194,14 @@ class _RateFunction:
 
 rate = _RateFunction()
 """Counts failures in random scenarios and certifies a bound of their rate: see :meth:`_RateFunction.__call__`."""
+
+
+def _ends(seeds: range) -> tuple[int, int]:
+    """Returns the first and the last seed of a range."""
+    if not isinstance(seeds, range) or not seeds or seeds.step != 1:
+        raise TypeError(f"seeds: must be a range, such as range(100), found {seeds!r}")
+    first, last = (whole_number("seeds", seed, 0, 2**64 - 1, RateError) for seed in (seeds[0], seeds[-1]))
+    return first, last
 
 
 def _certificate_text(count: Rate | Mapping[str, Any] | str | os.PathLike[str]) -> str:
@@ -201,10 +224,11 @@ def _count_part(parameters: dict[str, Any], first: int, end: int, threads: int |
 class _BlockCounter:
     """Counts blocks of runs on the workers of an executor. Begins at the first call, when the count is registered."""
 
-    def __init__(self, executor: Executor, parameters: dict[str, Any], threads: int | None) -> None:
+    def __init__(self, executor: Executor, parameters: dict[str, Any], threads: int | None, most: int) -> None:
         self._executor = check_executor(executor)
         self._parameters = parameters
         self._threads = threads
+        self._max_tasks = most
         self._tasks: Tasks[str] | None = None
         self._numbers: dict[int, int] = {}
 
@@ -217,7 +241,7 @@ class _BlockCounter:
         return self._tasks.result(number) if self._tasks.is_done(number) else None
 
     def _begin(self, first: int, blocks: int, block_runs: int) -> None:
-        parts = split(blocks - first, least=-(-_MIN_TASK_RUNS // block_runs))
+        parts = split(blocks - first, self._max_tasks, least=-(-_MIN_TASK_RUNS // block_runs))
         parts = [range(first + part.start, first + part.stop) for part in parts]
         self._numbers = {part.start: number for number, part in enumerate(parts)}
         arguments = [(self._parameters, part.start, part.stop, self._threads) for part in parts]

@@ -10,7 +10,7 @@ from crumple.errors import WorkerError
 Result = TypeVar("Result")
 
 MAX_TASKS = 1000
-"""Maximum number of tasks of a call, where tasks can have any size."""
+"""Maximum number of tasks of a call whose work can be split anywhere."""
 
 _MAX_NAMED_TASKS = 100
 
@@ -120,11 +120,10 @@ class Tasks(Generic[Result]):
         return True
 
 
-def split(count: int, unit: int = 1, least: int = 1) -> list[range]:
-    """Splits the numbers from 0 to ``count`` into at most :data:`MAX_TASKS` ranges.
+def split(count: int, tasks: int, least: int) -> list[range]:
+    """Splits the numbers from 0 to ``count`` into at most ``tasks`` ranges of at least ``least`` numbers.
 
-    Each range but the last has a multiple of ``unit``, and at least ``least`` numbers.
+    All ranges but the last have the same length.
     """
-    size = max(least, -(-count // MAX_TASKS))
-    size = -(-size // unit) * unit
+    size = max(least, -(-count // tasks))
     return [range(first, min(first + size, count)) for first in range(0, count, size)]

@@ -11,8 +11,9 @@ from typing import Any, Literal, overload
 from crumple._controller import Controller, as_controller
 from crumple._crumple import Scenario, Simulation, Space
 from crumple._crumple import simulate as _simulate
-from crumple._executor import Executor, Tasks, split
-from crumple.errors import ScenarioError
+from crumple._executor import MAX_TASKS, Executor, Tasks, split
+from crumple._numbers import whole_number
+from crumple.errors import RunError, ScenarioError
 
 ScenarioLike = Scenario | str | os.PathLike[str] | Mapping[str, Any]
 SpaceLike = Space | str | os.PathLike[str]
@@ -55,6 +56,7 @@ def simulate(  # type: ignore[overload-overlap]
     trace: bool = ...,
     threads: int | None = ...,
     executor: Executor | None = ...,
+    tasks: int = ...,
     progress: Progress | None = ...,
 ) -> Simulation: ...
 
@@ -70,6 +72,7 @@ def simulate(
     trace: bool = ...,
     threads: int | None = ...,
     executor: Executor | None = ...,
+    tasks: int = ...,
     progress: Progress | None = ...,
 ) -> list[Simulation]: ...
 
@@ -84,6 +87,7 @@ def simulate(
     trace: bool = True,
     threads: int | None = None,
     executor: Executor | None = None,
+    tasks: int = MAX_TASKS,
     progress: Progress | None = None,
     after_contact: Literal["stop", "continue"] | None = None,
 ) -> Simulation | list[Simulation]:
@@ -96,7 +100,8 @@ def simulate(
 
     ``threads`` is the number of threads, from 1 to 1024: by default ``RAYON_NUM_THREADS``, else ``OMP_NUM_THREADS``,
     else the cores that the process may use. ``executor`` distributes several scenarios over its workers: any object
-    with the interface of :class:`concurrent.futures.Executor`. ``threads`` are then those of each task.
+    with the interface of :class:`concurrent.futures.Executor`, in at most ``tasks`` tasks (1 to 1000) of at least 16
+    scenarios. ``threads`` are then those of each task.
 
     Results equal those of ``crumple simulate`` to the last bit, in a batch or not, on any workers.
     """
@@ -104,6 +109,7 @@ def simulate(
         message = "`after_contact` is now `after_collision`; releases after 0.5 will refuse the old name"
         warnings.warn(message, FutureWarning, stacklevel=2)
         after_collision = after_contact
+    tasks = whole_number("tasks", tasks, 1, MAX_TASKS, RunError)
     is_single = isinstance(scenarios, Scenario | str | os.PathLike | Mapping)
     items = [scenarios] if is_single else scenarios
     resolved = [scenario(one) for one in items]  # type: ignore[union-attr, arg-type]
@@ -111,14 +117,18 @@ def simulate(
     if executor is None:
         results = _simulate(resolved, *options, progress)
     else:
-        results = _simulate_on_workers(executor, resolved, options, progress)
+        parts = split(len(resolved), tasks, least=16)
+        results = _simulate_on_workers(executor, resolved, parts, options, progress)
     return results[0] if is_single else results
 
 
 def _simulate_on_workers(
-    executor: Executor, scenarios: list[Scenario], options: tuple[Any, ...], progress: Progress | None
+    executor: Executor,
+    scenarios: list[Scenario],
+    parts: list[range],
+    options: tuple[Any, ...],
+    progress: Progress | None,
 ) -> list[Simulation]:
-    parts = split(len(scenarios), least=16)
     arguments = [(scenarios[part.start : part.stop], (*options, None)) for part in parts]
     names = [f"runs {part.start} to {part.stop - 1}" for part in parts]
     results: list[Simulation] = []

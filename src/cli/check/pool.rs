@@ -20,6 +20,9 @@ impl Check {
             WorkLimit::from_billions(self.work_limit),
             global.controllers,
         );
+        if let Some(seeds) = &self.seeds {
+            pool = pool.with_expected_seeds(seeds.clone());
+        }
         if self.rerun.is_some() {
             pool = pool.with_rerun(self.controller.clone());
         }

@@ -941,7 +941,9 @@ fn check_pools_counts_of_several_seeds() {
     assert_prints(
         &run_crumple(folder.path(), refused),
         1,
-        &["pool: rejected: the seeds 3 to 5 have gaps: 1 seed is missing, the first of them is 4"],
+        &[
+            "pool: rejected: the seeds 3 to 5 are incomplete: 1 seed is missing, the first of them is 4",
+        ],
     );
     let twice = "check --pool rate-3/certificate.json rate-3/certificate.json --format json";
     let refused = run_crumple(folder.path(), twice);
@@ -968,6 +970,59 @@ fn check_pools_counts_of_several_seeds() {
     );
 }
 
+/// Every run of the seeds 1, 2, 4 and 5 fails. Without their certificates, the pool would end with seed 3.
+#[test]
+fn seeds_in_which_every_run_fails_are_pooled() {
+    let folder = temp_folder();
+    let count = "verify rate --controller baseline --space high-risk --estimator truth --runs 30 --confidence 0.9";
+    let failures: Vec<u64> = (0..6)
+        .map(|seed| {
+            let count = format!("{count} --seed {seed} --out rate-{seed} --format json");
+            let report = json_objects(&run_ok(folder.path(), &count)).remove(0);
+            report["failures"].as_u64().unwrap()
+        })
+        .collect();
+    assert_eq!(failures, [29, 30, 30, 29, 30, 30]);
+    let files = |seeds: std::ops::Range<u64>| -> String {
+        seeds
+            .map(|seed| format!(" rate-{seed}/certificate.json"))
+            .collect()
+    };
+    let pooled = format!(
+        "check --pool --seeds 0-5 --rerun --format json{}",
+        files(0..6)
+    );
+    let report = json_objects(&run_ok(folder.path(), &pooled)).remove(0);
+    assert_eq!(report["failures"], 178, "{report}");
+    assert_eq!(report["is_expected_range"], true, "{report}");
+    // Root p of 1 - p¹⁸⁰ - 180 p¹⁷⁹ (1 - p) = 0.1.
+    let bound = report["rate_at_most"].as_f64().unwrap();
+    assert!((bound - 0.997041632322).abs() < 1e-8, "{report}");
+    assert_prints(
+        &run_crumple(folder.path(), &format!("check --pool{}", files(4..6))),
+        0,
+        &[
+            "rate: no bound below 1 at confidence 0.9, for the seeds 4 to 5 together",
+            "a first or last seed that was left out is noticed only if the expected range is given (--seeds)",
+        ],
+    );
+    let missing = "pool: rejected: the seeds 0 to 5 are incomplete: 2 seeds are missing, the first of them is 4";
+    let shorter = format!("check --pool --seeds 0-5{}", files(0..4));
+    assert_prints(&run_crumple(folder.path(), &shorter), 1, &[missing]);
+    let other = "rate-5/certificate.json: seed 5 is outside the expected range 0-4";
+    let longer = format!("check --pool --seeds 0-4{}", files(0..6));
+    assert_prints(&run_crumple(folder.path(), &longer), 1, &[other]);
+    for (seeds, problem) in [
+        ("5-0", "must be a range of seeds, such as 0-99"),
+        ("x", "0-99"),
+    ] {
+        let refused = format!("check --pool --seeds {seeds}{}", files(0..1));
+        assert_refused(&run_crumple(folder.path(), &refused), problem);
+    }
+    let alone = run_crumple(folder.path(), &format!("check --seeds 0-5{}", files(0..6)));
+    assert_refused(&alone, "--pool");
+}
+
 #[test]
 fn jobs_set_the_number_of_threads() {
     let folder = temp_folder();
@@ -992,11 +1047,11 @@ fn jobs_set_the_number_of_threads() {
         &run_crumple(folder.path(), "doctor --jobs 0"),
         "must be a whole number from 1 to 1024",
     );
-    let mut without_number = command(folder.path(), "doctor");
-    without_number.env("RAYON_NUM_THREADS", "x\u{1b}");
-    let refused = without_number.output().unwrap();
-    assert_refused(
-        &refused,
-        "RAYON_NUM_THREADS: must be a whole number, found `x\\u001b`",
-    );
+    for (value, shown) in [("x\u{1b}", "x\\u001b"), ("1025", "1025")] {
+        let mut unusable = command(folder.path(), "doctor");
+        unusable.env("RAYON_NUM_THREADS", value);
+        let problem =
+            format!("RAYON_NUM_THREADS: must be a whole number from 0 to 1024, found `{shown}`");
+        assert_refused(&unusable.output().unwrap(), &problem);
+    }
 }

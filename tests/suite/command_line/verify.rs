@@ -561,7 +561,7 @@ fn verification_results_are_machine_readable() {
     );
 }
 
-/// Options of `--rare` are refused without it; a count that proves nothing fails with its counts.
+/// Options of `--rare` are refused without it. A count in which every run failed has a certificate without a bound.
 #[test]
 fn a_count_names_its_subject() {
     let folder = temp_folder();
@@ -580,10 +580,17 @@ fn a_count_names_its_subject() {
         (
             exit_code(&shown),
             report["runs"].as_u64(),
-            &report["certificate"]
+            report["rate_at_most"].as_f64()
         ),
-        (1, Some(100), &Value::Null),
+        (0, Some(100), Some(1.0)),
         "{report}"
+    );
+    let unbounded = "rate: no bound below 1 at confidence 0.999, if its counts are right";
+    let check = "check rate/certificate.json --rerun";
+    assert_prints(
+        &run_crumple(folder.path(), check),
+        0,
+        &[unbounded, "confirmed: all 100 runs"],
     );
     // Frequent failures are counted: all 250 runs fail, and the true rate may be 0.985.
     let rare = "verify rate --controller baseline --estimator truth --rare --samples 50";

@@ -1,6 +1,7 @@
 //! Forged pools of counts: a seed twice, a seed left out, another configuration, changed counts.
 
 use std::fs;
+use std::ops::{Range, RangeInclusive};
 
 use crumple_controllers::Controllers;
 use crumple_core::observer::Quiet;
@@ -55,7 +56,10 @@ fn count(config: RateConfig) -> Certificate {
 }
 
 fn genuine_pool() -> Vec<Certificate> {
-    let seeds = FIRST_SEED..FIRST_SEED + SEEDS;
+    count_seeds(FIRST_SEED..FIRST_SEED + SEEDS)
+}
+
+fn count_seeds(seeds: Range<u64>) -> Vec<Certificate> {
     seeds
         .map(|seed| count(config("baseline", "high-risk", seed)))
         .collect()
@@ -65,6 +69,8 @@ fn genuine_pool() -> Vec<Certificate> {
 struct Material {
     /// A few seeds of two blocks each.
     genuine: Vec<Certificate>,
+    /// Two seeds like them, after the last one.
+    outside: Vec<Certificate>,
     /// Many seeds of few runs.
     short: Vec<Certificate>,
     /// Fields of the configuration, each with certificates of the short seeds that differ in it.
@@ -81,6 +87,7 @@ impl Material {
         };
         Self {
             genuine: genuine_pool(),
+            outside: count_seeds(FIRST_SEED + SEEDS..FIRST_SEED + SEEDS + 2),
             short: count_all(|config| config),
             strangers: CHANGES
                 .iter()
@@ -119,8 +126,14 @@ const CHANGES: [(&str, ConfigChange); 5] = [
 
 /// Checks a pool, and repeats all of its runs.
 fn check_pool(certificates: &[Certificate]) -> Result<PooledRate, PoolError> {
-    let mut pool =
-        PoolCheck::new(WorkLimit::default(), Controllers::default()).with_rerun(Vec::new());
+    check_added(
+        PoolCheck::new(WorkLimit::default(), Controllers::default()),
+        certificates,
+    )
+}
+
+fn check_added(pool: PoolCheck, certificates: &[Certificate]) -> Result<PooledRate, PoolError> {
+    let mut pool = pool.with_rerun(Vec::new());
     for certificate in certificates {
         // A forger writes a file.
         let read = Certificate::from_json(&certificate.to_canonical_json()).unwrap();
@@ -133,8 +146,7 @@ fn check_pool(certificates: &[Certificate]) -> Result<PooledRate, PoolError> {
 }
 
 /// Checks a pool with the checker alone, which repeats no runs.
-fn check_alone(certificates: &[Certificate]) -> Result<PooledRate, PoolRejection> {
-    let mut pool = Pool::default();
+fn check_alone(mut pool: Pool, certificates: &[Certificate]) -> Result<PooledRate, PoolRejection> {
     for certificate in certificates {
         pool.add(certificate, WorkLimit::default())?;
     }
@@ -147,7 +159,10 @@ fn change_claim(certificate: &mut Certificate, change: impl FnOnce(&mut RateClai
     claim.registration_sha256 = claim.registration.digest();
     claim.failures = claim.blocks.iter().map(|(failures, _)| failures).sum();
     // Follows from any number of failures below that of runs.
-    claim.rate_at_most = 0.999_999;
+    claim.rate_at_most = match claim.failures == claim.registration.runs {
+        true => 1.0,
+        false => 0.999_999,
+    };
 }
 
 fn set_seed(certificate: &mut Certificate, seed: u64) {
@@ -228,6 +243,8 @@ impl PoolVerdict {
 /// A forged pool.
 struct ForgedPool {
     certificates: Vec<Certificate>,
+    /// Range that the checker expects.
+    seeds: Option<RangeInclusive<u64>>,
     kind: &'static str,
     expected: PoolVerdict,
 }
@@ -240,9 +257,28 @@ impl ForgedPool {
     ) -> Self {
         Self {
             certificates,
+            seeds: None,
             kind,
             expected: PoolVerdict::Rejected(expected),
         }
+    }
+
+    /// Checks the pool, and repeats all of its runs.
+    fn check(&self) -> PoolVerdict {
+        let mut pool = PoolCheck::new(WorkLimit::default(), Controllers::default());
+        if let Some(seeds) = self.seeds.clone() {
+            pool = pool.with_expected_seeds(seeds);
+        }
+        PoolVerdict::from_error(check_added(pool, &self.certificates).unwrap_err())
+    }
+
+    /// Checks the pool with the checker alone.
+    fn check_alone(&self) -> Result<PooledRate, PoolRejection> {
+        let pool = self
+            .seeds
+            .clone()
+            .map_or_else(Pool::default, Pool::of_seeds);
+        check_alone(pool, &self.certificates)
     }
 }
 
@@ -259,23 +295,38 @@ fn repeat_seed(short: &[Certificate], random: &mut Xoshiro256PlusPlus) -> Forged
     )
 }
 
-/// Leaves seeds out, but neither the smallest nor the largest, which would shrink the range of the claim.
+/// Leaves seeds out. Only a checker that expects the range notices that the first or the last one is missing.
 fn leave_seeds_out(short: &[Certificate], random: &mut Xoshiro256PlusPlus) -> ForgedPool {
     let last = short.len() - 1;
-    let mut left_out: Vec<usize> = (1..last).filter(|_| random.random_bool(0.1)).collect();
+    let is_range_expected: bool = random.random();
+    let candidates = match is_range_expected {
+        true => 0..last + 1,
+        false => 1..last,
+    };
+    let mut left_out: Vec<usize> = candidates
+        .clone()
+        .filter(|_| random.random_bool(0.1))
+        .collect();
     if left_out.is_empty() {
-        left_out.push(random.random_range(1..last));
+        left_out.push(match random.random() {
+            true => candidates.end - 1,
+            false => random.random_range(candidates),
+        });
     }
     let kept = (0..=last).filter(|index| !left_out.contains(index));
     let mut certificates: Vec<Certificate> = kept.map(|index| short[index].clone()).collect();
     certificates.shuffle(random);
+    let [first, last] = [FIRST_SEED, FIRST_SEED + last as u64];
     let expected = PoolRejection::MissingSeeds {
-        first: FIRST_SEED,
-        last: FIRST_SEED + last as u64,
+        first,
+        last,
         missing: FIRST_SEED + left_out[0] as u64,
         count: left_out.len() as u64,
     };
-    ForgedPool::rejected("seeds left out", certificates, expected)
+    ForgedPool {
+        seeds: is_range_expected.then_some(first..=last),
+        ..ForgedPool::rejected("seeds left out", certificates, expected)
+    }
 }
 
 /// Replaces up to three certificates by those of the same seeds with another configuration.
@@ -295,9 +346,10 @@ fn mix_configurations(material: &Material, random: &mut Xoshiro256PlusPlus) -> F
     )
 }
 
-/// Makes a pool from genuine certificates of two blocks, of which one certificate is changed or copied.
-fn forge_counts(genuine: &[Certificate], random: &mut Xoshiro256PlusPlus) -> ForgedPool {
-    let mut certificates = genuine.to_vec();
+/// Makes a pool from genuine certificates of two blocks, of which one certificate is changed, copied or replaced.
+fn forge_counts(material: &Material, random: &mut Xoshiro256PlusPlus) -> ForgedPool {
+    let genuine = &material.genuine;
+    let mut certificates = genuine.clone();
     let chosen = random.random_range(0..genuine.len());
     let seed = FIRST_SEED + chosen as u64;
     let block = random.random_range(0..2);
@@ -305,7 +357,7 @@ fn forge_counts(genuine: &[Certificate], random: &mut Xoshiro256PlusPlus) -> For
         seed,
         block: block as u64,
     };
-    let (kind, expected) = match random.random_range(0..4) {
+    let (kind, expected) = match random.random_range(0..5) {
         0 => {
             let mut copy = genuine[chosen].clone();
             let renamed = FIRST_SEED + SEEDS;
@@ -322,6 +374,12 @@ fn forge_counts(genuine: &[Certificate], random: &mut Xoshiro256PlusPlus) -> For
             rate_claim(&mut certificates[chosen].statement).blocks[block].1 = random_hash(random);
             ("changed hashes", changed)
         }
+        3 => {
+            certificates[chosen] = material.outside[block].clone();
+            set_seed(&mut certificates[chosen], seed);
+            let expected = PoolVerdict::Refuted { seed, block: 0 };
+            ("a seed replaced by one outside the range", expected)
+        }
         _ => {
             let other = if chosen == 1 { 0 } else { chosen };
             certificates[1] = genuine[other].clone();
@@ -335,6 +393,7 @@ fn forge_counts(genuine: &[Certificate], random: &mut Xoshiro256PlusPlus) -> For
     };
     ForgedPool {
         certificates,
+        seeds: None,
         kind,
         expected,
     }
@@ -345,7 +404,7 @@ fn forge(material: &Material, random: &mut Xoshiro256PlusPlus) -> ForgedPool {
         0 => repeat_seed(&material.short, random),
         1 => leave_seeds_out(&material.short, random),
         2 => mix_configurations(material, random),
-        _ => forge_counts(&material.genuine, random),
+        _ => forge_counts(material, random),
     }
 }
 
@@ -368,9 +427,8 @@ fn every_forged_pool_is_refused() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
         let forged = forge(&material, &mut random);
         let kind = forged.kind;
-        let verdict = PoolVerdict::from_error(check_pool(&forged.certificates).unwrap_err());
-        assert_eq!(verdict, forged.expected, "{index}: {kind}");
-        let alone = check_alone(&forged.certificates).map_err(PoolVerdict::Rejected);
+        assert_eq!(forged.check(), forged.expected, "{index}: {kind}");
+        let alone = forged.check_alone().map_err(PoolVerdict::Rejected);
         match forged.expected {
             PoolVerdict::Rejected(_) => assert_eq!(alone, Err(forged.expected), "{index}: {kind}"),
             PoolVerdict::Refuted { .. } => assert!(alone.is_ok(), "{index}: {kind}: {alone:?}"),

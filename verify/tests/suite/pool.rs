@@ -1,8 +1,10 @@
 //! Pools of counts: one bound for all seeds of a range, and refusals.
 
 use std::collections::BTreeMap;
-use std::process::Command;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
+use crumple_verify::pool::parse_seed_range;
 use crumple_verify::rate::binomial_tail_upper_bound;
 use crumple_verify::{
     Assumption, Certificate, CertificateProvenance, Pool, PoolRejection, RateClaim, Registration,
@@ -52,7 +54,11 @@ fn count(seed: u64, runs: u64, failures: u64) -> Certificate {
             registration_sha256: registration.digest(),
             registration,
             failures,
-            rate_at_most: if runs > 1_000_000 { 1e-6 } else { 0.999 },
+            rate_at_most: match failures {
+                _ if runs > 1_000_000 => 1e-6,
+                0..900 => 0.999,
+                _ => 1.0,
+            },
             blocks: vec![(failures, sha256(&format!("runs of {seed}")))],
         }),
     }
@@ -102,7 +108,7 @@ proptest! {
     #[test]
     fn the_bound_of_a_range_is_that_of_all_runs_together(
         first in 0..1_000_000_u64,
-        failures in prop::collection::vec(0..40_u64, 1..20),
+        failures in prop::collection::vec(prop_oneof![0..40_u64, Just(1000)], 1..20),
         turn in 0..20_usize,
     ) {
         let mut certificates: Vec<Certificate> = (first..)
@@ -115,6 +121,10 @@ proptest! {
         let [runs, sum] = [1000 * failures.len() as u64, failures.iter().sum()];
         prop_assert_eq!((claim.runs, claim.failures, claim.first_seed), (runs, sum, first));
         prop_assert_eq!(claim.last_seed, first + failures.len() as u64 - 1);
+        if sum == runs {
+            prop_assert_eq!(claim.max_rate, 1.0);
+            return Ok(());
+        }
         let tail = |rate: f64| binomial_tail_upper_bound(sum, runs, rate);
         prop_assert!(tail(claim.max_rate) <= 0.01 * (1.0 + 1e-9));
         prop_assert!(tail(claim.max_rate * (1.0 - 1e-5)) > 0.01);
@@ -149,6 +159,36 @@ proptest! {
         prop_assert_eq!(added, Err(PoolRejection::CopiedRuns { block, other_seed, other_block }));
         kept.add(&count_in_blocks(last as u64, blocks), WorkLimit::default()).unwrap();
         prop_assert_eq!(kept.len() as u64, seeds);
+    }
+
+    /// With an expected range, any omission is refused, and any other seed.
+    #[test]
+    fn pools_without_the_expected_seeds_are_refused(
+        seeds in prop::collection::btree_set(0..8_u64, 1..8),
+        ends in (0..8_u64, 0..8_u64),
+    ) {
+        let [first, last] = [ends.0.min(ends.1), ends.0.max(ends.1)];
+        let mut expected = Pool::of_seeds(first..=last);
+        for &seed in &seeds {
+            let added = expected.add(&count(seed, 1000, 1), WorkLimit::default());
+            if !(first..=last).contains(&seed) {
+                prop_assert_eq!(added, Err(PoolRejection::UnexpectedSeed { seed, first, last }));
+                return Ok(());
+            }
+            prop_assert_eq!(added, Ok(()));
+        }
+        let concluded = expected.conclude(WorkLimit::default());
+        let missing: Vec<_> = (first..=last).filter(|seed| !seeds.contains(seed)).collect();
+        match missing.first() {
+            None => {
+                let claim = concluded.unwrap();
+                prop_assert_eq!((claim.first_seed, claim.last_seed), (first, last));
+                prop_assert!(claim.is_expected_range);
+            }
+            Some(&gap) => prop_assert_eq!(concluded.unwrap_err(), PoolRejection::MissingSeeds {
+                first, last, missing: gap, count: missing.len() as u64,
+            }),
+        }
     }
 
     /// Any omission between the ends is refused, with the first missing seed.
@@ -225,40 +265,109 @@ fn certificates_that_differ_in_more_than_seed_and_counts_are_refused() {
 }
 
 #[test]
+fn ranges_of_seeds_are_read() {
+    assert_eq!(parse_seed_range("0-99"), Ok(0..=99));
+    assert_eq!(parse_seed_range("7"), Ok(7..=7));
+    for text in [
+        "", "-", "5-", "-5", "9-3", "0-9-9", "a-b", "0..9", "1.0", " 1",
+    ] {
+        assert!(parse_seed_range(text).is_err(), "{text}");
+    }
+}
+
+/// Writes the certificates of the seeds 4, 5 and 6 in a folder; all runs of seed 6 fail.
+fn write_three_files(folder: &Path) -> [PathBuf; 3] {
+    std::fs::create_dir_all(folder).unwrap();
+    [(4, 4), (5, 5), (6, 1000)].map(|(seed, failures)| {
+        let path = folder.join(format!("{seed}.json"));
+        std::fs::write(&path, count(seed, 1000, failures).to_canonical_json()).unwrap();
+        path
+    })
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_program_ends_quietly_if_its_output_is_closed() {
+    let folder = std::env::temp_dir().join(format!("crumple-pipe-{}", std::process::id()));
+    let [path, ..] = write_three_files(&folder);
+    let run = |options: &[&str], output: Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple-verify"));
+        let run = command.args(options).arg(&path).stdout(output).output();
+        let run = run.unwrap();
+        (
+            run.status.code().unwrap(),
+            String::from_utf8(run.stderr).unwrap(),
+        )
+    };
+    let closed_pipe = || {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        Stdio::from(writer)
+    };
+    for options in [&["--pool"][..], &["--pool", "--seeds", "4"], &[]] {
+        assert_eq!(run(options, closed_pipe()), (0, String::new()));
+    }
+    assert_eq!(
+        run(&["--pool", "--seeds", "5"], closed_pipe()),
+        (1, String::new())
+    );
+    let full = std::fs::File::create("/dev/full").unwrap();
+    let (code, problem) = run(&[], full.into());
+    assert!(
+        code == 3 && problem.starts_with("standard output: "),
+        "{code} {problem}"
+    );
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn the_program_pools_files() {
     let folder = std::env::temp_dir().join(format!("crumple-pool-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let paths = [4, 5, 6].map(|seed| {
-        let path = folder.join(format!("{seed}.json"));
-        std::fs::write(&path, count(seed, 1000, seed).to_canonical_json()).unwrap();
-        path
-    });
-    let run = |paths: &[&std::path::PathBuf]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_crumple-verify"))
-            .arg("--pool")
-            .args(paths)
-            .output()
-            .unwrap();
+    let paths = write_three_files(&folder);
+    let run_with = |options: &[&str], paths: &[&PathBuf]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple-verify"));
+        let output = command.args(options).args(paths).output().unwrap();
         let text = String::from_utf8(output.stdout).unwrap();
         (output.status.code().unwrap(), text)
     };
+    let run = |paths: &[&PathBuf]| run_with(&["--pool"], paths);
     let (code, text) = run(&[&paths[1], &paths[2], &paths[0]]);
-    let begin = "pool of 3 certificates: accepted: rate: at most 0.00";
+    let begin = "pool of 3 certificates: accepted: rate: at most 0.35";
     assert!(code == 0 && text.starts_with(begin), "{text}");
     assert!(text.contains("for the seeds 4 to 6 together"), "{text}");
-    assert!(text.contains("counted: 15 failures in 3000 runs"), "{text}");
+    assert!(
+        text.contains("counted: 1009 failures in 3000 runs"),
+        "{text}"
+    );
+    assert!(text.contains("(--seeds)"), "{text}");
     assert!(
         text.contains("assuming that the range of seeds was fixed"),
         "{text}"
     );
     let (code, text) = run(&[&paths[0], &paths[2]]);
-    let gap =
-        "pool: rejected: the seeds 4 to 6 have gaps: 1 seed is missing, the first of them is 5\n";
+    let gap = "pool: rejected: the seeds 4 to 6 are incomplete: 1 seed is missing, the first of them is 5\n";
     assert_eq!((code, text.as_str()), (1, gap));
     let (code, text) = run(&[&paths[1]]);
     let begin = "pool of 1 certificate: accepted: rate: at most 0.0";
     assert!(code == 0 && text.starts_with(begin), "{text}");
     assert!(text.contains("for seed 5, if"), "{text}");
+    let (code, text) = run(&[&paths[2]]);
+    let begin =
+        "pool of 1 certificate: accepted: rate: no bound below 1 at confidence 0.99, for seed 6";
+    assert!(code == 0 && text.starts_with(begin), "{text}");
+    let run_expecting = |seeds: &str| {
+        let options = ["--pool", "--seeds", seeds];
+        run_with(&options, &[&paths[0], &paths[1], &paths[2]])
+    };
+    let (code, text) = run_expecting("4-6");
+    assert!(code == 0 && !text.contains("--seeds"), "{text}");
+    let missing = "pool: rejected: the seeds 4 to 8 are incomplete: 2 seeds are missing, the first of them is 7\n";
+    assert_eq!(run_expecting("4-8"), (1, missing.to_owned()));
+    let (code, text) = run_expecting("4-5");
+    let other = "6.json: seed 6 is outside the expected range 4-5\n";
+    assert!(code == 1 && text.ends_with(other), "{text}");
+    assert_eq!(run_expecting("6-4").0, 2);
+    assert_eq!(run_with(&["--seeds", "4-6"], &[&paths[0]]).0, 2);
     assert_eq!(run(&[]).0, 2);
     assert_eq!(run(&[&folder.join("absent.json")]).0, 2);
     std::fs::remove_dir_all(&folder).unwrap();

@@ -206,10 +206,10 @@ fn limits_of_registrations_and_claims_are_exact() {
             "{confidence}"
         );
     }
-    for rate_at_most in [-0.1, 0.0, 1.0, 1.5, f64::NAN] {
+    for rate_at_most in [-0.1, 0.0, 1.0_f64.next_up(), 1.5, f64::NAN] {
         let refused = rejection_text(Statement::Rate(rate(0, 100, rate_at_most, 0.9)));
         assert_eq!(
-            refused, "`rate_at_most` must be between 0 and 1",
+            refused, "`rate_at_most` must be above 0 and at most 1",
             "{rate_at_most}"
         );
     }
@@ -221,12 +221,21 @@ fn limits_of_registrations_and_claims_are_exact() {
             "{runs}"
         );
     }
-    for failures in [100, 101] {
-        let refused = rejection_text(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
+    for rate_at_most in [0.5, 1.0_f64.next_down()] {
+        let refused = rejection_text(Statement::Rate(rate(100, 100, rate_at_most, 0.9)));
         assert_eq!(
             refused,
-            "`failures` equal the number of runs: no bound on the rate follows"
+            "`rate_at_most` must be 1, because every run failed"
         );
+    }
+    for rate_at_most in [0.5, 1.0] {
+        let refused = rejection_text(Statement::Rate(rate(101, 100, rate_at_most, 0.9)));
+        assert_eq!(refused, "`failures` exceed the number of runs");
+    }
+    for failures in [0, 99, 100] {
+        let nothing = check_statement(Statement::Rate(rate(failures, 100, 1.0, 0.9))).unwrap();
+        let text = "rate: no bound below 1 at confidence 0.9, if its counts are right";
+        assert_eq!(nothing.to_string(), text);
     }
 
     assert_eq!(

@@ -1,6 +1,7 @@
 //! Reports on pools as text.
 
 use crumple_core::quoting::TerminalText;
+use crumple_verify::pool::UNSTATED_RANGE_CAVEAT;
 
 use super::PoolReport;
 use crate::certificate_report::built_in_line;
@@ -28,6 +29,9 @@ impl PoolReport {
         text += &format!("  {}\n", TerminalText(&self.counts.summary()));
         for line in claim.scope.to_string().lines() {
             text += &format!("  {line}\n");
+        }
+        if !claim.is_expected_range {
+            text += &format!("  {UNSTATED_RANGE_CAVEAT}\n");
         }
         text += built_in_line(self.is_built_in);
         for assumption in self.assumptions() {

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::certificate_subject::{certificate_subject, describe_statement, includes_others};
-use super::rate_certificates::{planned_rate_counts, recount_controllers};
+use super::rate_certificates::{planned_rate_counts, recount_controllers, unbounded_status};
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property,
     Strength, Subject,
@@ -81,7 +81,7 @@ pub enum CertificateStatus {
         /// Strength for the claim about a controller; absent if it makes none.
         strength: Option<Strength>,
     },
-    /// This assessment counted the registered runs, and they do not show the claim.
+    /// The registered runs were counted, and do not show the claim.
     NothingShown {
         /// Counts in words.
         counted: String,
@@ -176,6 +176,11 @@ impl CertificateStatus {
             Ok(accepted) => accepted,
             Err(reason) => return Self::Rejected { reason },
         };
+        if let Statement::Rate(rate) = &certificate.statement
+            && rate.rate_at_most >= 1.0
+        {
+            return unbounded_status(rate, counts_others, "");
+        }
         Self::Accepted {
             shown: accepted.to_string(),
             strength: accepted_strength(&accepted, &certificate.statement, counts_others),
@@ -369,14 +374,14 @@ pub(super) fn check_certificate(
         counts_others,
         plan.config.controllers_of_files,
     );
-    let is_accepted = matches!(status, CertificateStatus::Accepted { .. });
+    let is_rejected = matches!(status, CertificateStatus::Rejected { .. });
     Ok(CheckedCertificate {
         statement: certificate.statement.name(),
         about: describe_statement(plan, &name, certificate, policy),
-        file: is_accepted.then(|| format!("certificates/{name}.json")),
+        file: (!is_rejected).then(|| format!("certificates/{name}.json")),
         sha256: certificate.digest(),
         subject: certificate_subject(plan, &name, certificate, policy),
-        recount_controllers: is_accepted
+        recount_controllers: (!is_rejected)
             .then(|| recount_controllers(plan, certificate))
             .flatten(),
         status,

@@ -1,6 +1,6 @@
 //! Runs that are counted for certificates of a report.
 
-use crumple_verify::{Certificate, Registration, Statement};
+use crumple_verify::{Certificate, RateClaim, Registration, Statement};
 
 use super::certificate_subject::includes_others;
 use super::certificates::{
@@ -204,13 +204,22 @@ fn not_shown_status(
                 },
             })
         }
-        Statement::Rate(rate) => Some(CertificateStatus::NothingShown {
-            counted: format!(
-                "{} of {} runs failed{unanswered}",
-                rate.failures, rate.registration.runs
-            ),
-            strength: rate_strength(rate, 1.0, counts_others),
-        }),
+        Statement::Rate(rate) => Some(unbounded_status(rate, counts_others, unanswered)),
         _ => None,
+    }
+}
+
+/// Returns the status of a count that bounds no rate.
+pub(super) fn unbounded_status(
+    rate: &RateClaim,
+    counts_others: bool,
+    unanswered: &str,
+) -> CertificateStatus {
+    CertificateStatus::NothingShown {
+        counted: format!(
+            "{} of {} runs failed{unanswered}",
+            rate.failures, rate.registration.runs
+        ),
+        strength: rate_strength(rate, 1.0, counts_others),
     }
 }
