@@ -9,7 +9,8 @@ from drives import FOLLOWERS, change, interval, level, quantile, weights
 from findings import (SPACE, all_answers, assisted_systems, combinations, comparisons, compare, conforming_level,
                       number, relative_change, relative_curve, repeated, systems_answers, threshold_s,
                       within_the_tests)
-from study import ADDED, ASSISTED, BRAKE, CONFORMING, HUMAN, NONE, QUESTIONS, SYSTEMS
+from study import (ADDED, ASSISTED, BRAKE, CONFORMING, CONFORMING_SPACES, HUMAN, NONE, QUESTIONS,
+                   SPACES_WITHIN_THE_TESTS, SYSTEMS)
 
 TITLE = "# Emergency braking and rear-end collisions"
 MAIN = ("hold", "kalman")
@@ -191,12 +192,17 @@ def field_picture(results):
     return "\n".join([*out, "</svg>\n"])
 
 
-def results_csv(results):
-    """Returns the results of every system, follower and class in every condition."""
-    lines = ["space,system,after_collision,estimator,follower,class,emergencies,hits_ahead,hit_from_behind,either,"
-             "activations,harm_per_1000,harm_error_per_1000"]
+RESULT_COLUMNS = ("space,system,after_collision,estimator,follower,class,emergencies,hits_ahead,hit_from_behind,either,"
+                  "activations,harm_per_1000,harm_error_per_1000")
+
+
+def result_rows(results, spaces):
+    """Returns the rows of every system, follower and class in some spaces, in every condition."""
+    lines = []
     for (after_collision, estimator), part in results.items():
         for (space, system), drives in part.items():
+            if space not in spaces:
+                continue
             by_stratum = {}
             for place, stratum in enumerate(drives.strata):
                 by_stratum.setdefault(stratum, []).append(place)
@@ -208,7 +214,19 @@ def results_csv(results):
                 row = [space, f'"{system}"', after_collision, estimator, *stratum, str(len(by_stratum[stratum])),
                        *counts, f"{mean:.3f}", f"{variance ** 0.5:.3f}"]
                 lines.append(",".join(row))
-    return "\n".join(lines) + "\n"
+    return lines
+
+
+def results_csv(results):
+    """Returns the results of one run."""
+    return "\n".join([RESULT_COLUMNS, *result_rows(results, [SPACE, *CONFORMING_SPACES])]) + "\n"
+
+
+def within_csv(runs):
+    """Returns the results within the tests, of all runs."""
+    rows = [f"{number},{row}" for number, results in enumerate(runs, 1)
+            for row in result_rows(results, SPACES_WITHIN_THE_TESTS)]
+    return "\n".join([f"run,{RESULT_COLUMNS}", *rows]) + "\n"
 
 
 def answers_csv(results):
@@ -317,7 +335,7 @@ def check_files(page, files, is_written):
     for name, text in files.items():
         if is_written:
             (folder / name).write_text(text)
-        elif (folder / name).read_text() != text:
+        elif not (folder / name).is_file() or (folder / name).read_text() != text:
             sys.exit(f"error: {folder / name} differs from the runs")
 
 
@@ -329,7 +347,7 @@ def check_sentences(page, runs):
     text = " ".join(page.read_text().split())
     for sentence in (f"{count} of {comparisons_of_all} comparisons lie on the same side in both",
                      f"{left} of {emergencies} emergencies of both runs end in a collision",
-                     f"without brakes {without}."):
+                     f"without brakes {without} ("):
         if sentence not in text:
             sys.exit(f"error: {page} does not say `{sentence}`")
 
@@ -349,6 +367,6 @@ def check(page, runs, verdicts, is_written):
     check_tables(page, tables, is_written)
     check_sentences(page, runs)
     check_files(page, {"field.svg": field_picture(results), "field.csv": field_csv(results),
-                       "results.csv": results_csv(results), "answers.csv": answers_csv(results),
-                       "repeated.csv": answers_csv(others)}, is_written)
+                       "results.csv": results_csv(results), "within-the-tests.csv": within_csv(runs),
+                       "answers.csv": answers_csv(results), "repeated.csv": answers_csv(others)}, is_written)
     check_length(page, first)

@@ -25,6 +25,8 @@ ADDED = ["predictive", "road"]
 NONE, BRAKE, HUMAN, ASSISTED, CONFORMING = ("emergency-brake,ttc_s=0", "emergency-brake,ttc_s=2", "human",
                                             "human,aeb_ttc_s=1.4", "human,aeb_ttc_s=2")
 CONDITIONS = list(itertools.product(QUESTIONS["assumptions"]["after_collision"], QUESTIONS["assumptions"]["estimator"]))
+# Emergencies within speeds and braking of the tests: all cars behind have the brake, or none.
+SPACES_WITHIN_THE_TESTS = ["within-the-tests", "within-the-tests-alone"]
 CONFORMING_SPACES = {"followers-alone": "human", "followers-conforming": CONFORMING}
 
 
@@ -144,9 +146,10 @@ def assessments(after_collision, estimator, seed=SEED):
     draws, condition = tomllib.loads(CONFIG.read_text())["draws"], f"{after_collision}-{estimator}"
     emergencies = {"emergencies": SPACE.read_text()}
     conforming = {name: space_with_follower(name, follower) for name, follower in CONFORMING_SPACES.items()}
-    within = WITHIN_THE_TESTS.read_text()
-    within = {"within-the-tests": within, "within-the-tests-alone": replaced(
-        within, ('name = "within-the-tests"\nabout = """', 'name = "within-the-tests-alone"\nabout = """'),
+    all_brake, alone = SPACES_WITHIN_THE_TESTS
+    text = WITHIN_THE_TESTS.read_text()
+    within = {all_brake: text, alone: replaced(
+        text, (f'name = "{all_brake}"\nabout = """', f'name = "{alone}"\nabout = """'),
         ("driver.human = { aeb_ttc_s = 2 }", 'driver = "human"'))}
     parts = [("", emergencies, systems(estimator)), ("-conforming", conforming, [HUMAN, CONFORMING]),
              ("-within-the-tests", within, [HUMAN, CONFORMING])]
