@@ -29,17 +29,15 @@ fn error_of_study(arguments: &[&str], folder: &Path) -> Option<String> {
 
 #[test]
 fn results_of_another_program_are_refused() {
-    let program = env!("CARGO_BIN_EXE_crumple");
-    for command in ["run", "repeat", "sensitivity"] {
-        let folder = temp_folder();
-        fs::create_dir(folder.path().join("runs")).unwrap();
-        fs::write(folder.path().join("runs/program.sha256"), "0".repeat(64)).unwrap();
-        if let Some(error) = error_of_study(&[command, program, "runs"], folder.path()) {
-            assert_eq!(
-                error,
-                "error: runs has results of another program: use an empty folder\n"
-            );
-        }
+    let folder = temp_folder();
+    fs::create_dir(folder.path().join("runs")).unwrap();
+    fs::write(folder.path().join("runs/program.sha256"), "0".repeat(64)).unwrap();
+    let arguments = ["run", env!("CARGO_BIN_EXE_crumple"), "runs"];
+    if let Some(error) = error_of_study(&arguments, folder.path()) {
+        assert_eq!(
+            error,
+            "error: runs has results of another program: use an empty folder\n"
+        );
     }
 }
 
@@ -73,5 +71,67 @@ fn a_page_of_other_inputs_is_refused() {
             error,
             "error: runs/hold-kalman has no results of today's emergencies.toml: run it again\n"
         );
+    }
+}
+
+/// Returns a file of the study's reports.
+fn report(name: &str) -> String {
+    fs::read_to_string(
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("reports")
+            .join(name),
+    )
+    .unwrap()
+}
+
+/// Returns the numbers of the last `count` columns of each row of a table, with its first column.
+fn last_columns(table: &str, count: usize) -> Vec<(&str, Vec<f64>)> {
+    let rows = table.lines().skip(1).map(|line| {
+        let mut values: Vec<f64> = line
+            .rsplit(',')
+            .take(count)
+            .map(|value| value.parse().unwrap())
+            .collect();
+        values.reverse();
+        (line.split(',').next().unwrap(), values)
+    });
+    rows.collect()
+}
+
+#[test]
+fn the_page_is_short() {
+    let page = report("aeb-behind.md");
+    let words = page
+        .split_whitespace()
+        .filter(|word| word.chars().any(char::is_alphanumeric));
+    assert!(words.count() <= 2500);
+    for row in page.lines().filter(|line| line.starts_with('|')) {
+        assert!(row.matches('|').count() <= 7, "{row}");
+    }
+}
+
+#[test]
+fn no_interval_of_the_field_is_empty() {
+    for (_, row) in last_columns(&report("aeb-behind/field.csv"), 6) {
+        assert!(row[1] < row[2] && row[4] < row[5], "{row:?}");
+    }
+}
+
+/// A common answer is that of every comparison in both runs.
+#[test]
+fn common_answers_hold_in_both_runs() {
+    let page = report("aeb-behind.md");
+    let first = page.split("\n## ").nth(1).unwrap().replace("\n   ", " ");
+    let runs = ["answers.csv", "repeated.csv"].map(|name| report(&format!("aeb-behind/{name}")));
+    let rows = runs.iter().flat_map(|run| last_columns(run, 2));
+    for (question, bounds) in rows {
+        let start = format!("\n{question}. **");
+        let answer = first.split(&start).nth(1).unwrap();
+        let answer = answer.split("** ").nth(1).unwrap();
+        if answer.starts_with("Fewer") {
+            assert!(bounds[1] < 0.0, "{question}: {bounds:?}");
+        } else if answer.starts_with("More") {
+            assert!(bounds[0] > 0.0, "{question}: {bounds:?}");
+        }
     }
 }

@@ -7,7 +7,7 @@ import statistics
 from collections import defaultdict
 
 from findings import assisted_systems, combinations, compare, z
-from study import HUMAN, QUESTIONS, load
+from study import HUMAN, QUESTIONS, SEED, SEED_OF_REPETITION, load
 
 SAMPLES = 400
 
@@ -39,10 +39,10 @@ def struck(hits, sample, weight, striking):
     return None
 
 
-def main(folder):
-    """Prints both standard errors in every combination of assumptions."""
+def print_errors(folder, seed):
+    """Prints both standard errors in every combination of assumptions of one run."""
     question = next(one for one in QUESTIONS["questions"] if one["kind"] == "field")
-    answers = {key: bounds for (_, key), bounds in compare(question, load(folder))[0].items()}
+    answers = {key: bounds for (_, key), bounds in compare(question, load(folder, seed))[0].items()}
     chance = random.Random(1)
     for after_collision, estimator, followers, lorries in combinations("field"):
         strata, hits = read_hits(folder / f"{after_collision}-{estimator}/report/runs.csv")
@@ -57,3 +57,9 @@ def main(folder):
         delta = (upper - mean) / z()
         print(f"{after_collision} {estimator} {len(followers)} types, {lorries} % lorries: delta method {delta:.2f} %, "
               f"bootstrap {error:.2f} %, ratio {error / delta:.2f}", flush=True)
+
+
+def main(folder):
+    """Prints both standard errors in both runs."""
+    print_errors(folder, SEED)
+    print_errors(folder / "repeated", SEED_OF_REPETITION)

@@ -21,8 +21,6 @@ class Drives:
         self.any = [max(pair) for pair in zip(self.ahead, self.behind)]
         self.harm = [float(row["harm"]) for row in rows]
         self.activations = [float(row["activates"] == "1") for row in rows]
-        self.speed_mps = [float(row["speed_mps"]) for row in rows]
-        self.friction = [float(row["friction"]) for row in rows]
 
 
 def read(path):

@@ -1,6 +1,8 @@
-"""Answers to the questions of the study, by the rule that was committed before the run."""
+"""Answers to the questions of the study: those that both runs give, by the rule of `questions.toml`."""
 
 import itertools
+import math
+import sys
 import textwrap
 
 from drives import Stratified, change, interval, level, quantile, weights
@@ -13,8 +15,6 @@ RULE = QUESTIONS["rule"]
 WORDS = {
     "hold": "hold",
     "coast": "coast",
-    "kalman": "sensors",
-    "truth": "true state",
     4: "4 types",
     3: "3 types",
     0: "no lorries",
@@ -59,20 +59,14 @@ def conforming_values(part, is_ego_conforming, is_follower_conforming, measure):
     return [of_class[stratum[1]][place] for place, stratum in enumerate(alone.strata)]
 
 
-def is_easy(drives, place):
-    """Returns true for a dry road, and a speed at which the tests have no manual braking."""
-    return drives.friction[place] >= 0.9 and drives.speed_mps[place] <= 80 / 3.6
-
-
-def conforming_level(part, share, measure, of, is_wanted=lambda *_: True):
+def conforming_level(part, share, measure, of):
     """Returns a measure, and its error, if this share of the cars has the brake, independently of each other."""
     values = {pair: conforming_values(part, *pair, measure) for pair in itertools.product((False, True), repeat=2)}
     alone = part["followers-alone", HUMAN]
     probability = {True: share, False: 1 - share}
-    places = [place for place in range(len(alone.strata)) if is_wanted(alone, place)]
     mixed = [sum(probability[ego] * probability[follower] * values[ego, follower][place] for ego, follower in values)
-             for place in places]
-    return Stratified([alone.strata[place] for place in places], mixed, measure).mean(of)
+             for place in range(len(alone.strata))]
+    return Stratified(alone.strata, mixed, measure).mean(of)
 
 
 def conforming_change(part, measure, of):
@@ -96,7 +90,7 @@ def relative_change(part, name, measure, of):
     means = [level(drives, measure).mean(of)[0] for drives in (own, alone)]
     ratio = means[0] / means[1]
     linear = [after - ratio * before for after, before in zip(getattr(own, measure), getattr(alone, measure))]
-    error = 100 * Stratified(own.strata, linear, measure, has_floor=False).mean(of)[1] / means[1]
+    error = 100 * Stratified(own.strata, linear, measure).mean(of)[1] / means[1]
     return 100 * (ratio - 1), error
 
 
@@ -114,11 +108,8 @@ def struck_where(means, striking):
     return way, behind[0] + way * (behind[1] - behind[0])
 
 
-def field_point(part, of, question, has_floor):
-    """Returns the threshold, and the change of being struck in percent with its standard error (delta method).
-
-    `has_floor` applies the smallest variance of a count, as the script did by mistake before the run.
-    """
+def field_point(part, of, question):
+    """Returns the threshold, and the change of being struck in percent with its standard error (delta method)."""
     striking = question["striking"]
     curve = list(zip(assisted_systems(), relative_curve(part, of)))
     for (below, (low_s, low, _)), (above, (high_s, high, _)) in zip(curve, curve[1:]):
@@ -137,11 +128,11 @@ def field_point(part, of, question, has_floor):
                          for sign in (1, -1))
         slopes.append((higher - lower) / (2 * step))
     linear = [sum(slope * value for slope, value in zip(slopes, row)) for row in zip(*values)]
-    error = Stratified(strata, linear, "ahead", has_floor=has_floor).mean(of)[1]
+    error = Stratified(strata, linear, "ahead", has_floor=False).mean(of)[1]
     return low_s + way * (high_s - low_s), (100 * struck, 100 * error)
 
 
-def compare(question, results, has_floor=False):
+def compare(question, results):
     """Returns {(system, combination): (mean, lower, upper)}, and the thresholds of a question about the field."""
     found, thresholds = {}, []
     for combination in combinations(question["kind"]):
@@ -157,7 +148,7 @@ def compare(question, results, has_floor=False):
         elif question["kind"] == "left":
             found["all", key] = interval(conforming_level(part, 1.0, "any", of), z())
         else:
-            point = field_point(part, of, question, has_floor)
+            point = field_point(part, of, question)
             if point:
                 thresholds.append(point[0])
                 found["all", key] = interval(point[1], z())
@@ -167,6 +158,37 @@ def compare(question, results, has_floor=False):
 def side(bounds, reference=0.0):
     """Returns 1 or -1 if an interval lies on one side of the reference, otherwise 0."""
     return int(bounds[1] > reference) - int(bounds[2] < reference)
+
+
+def reference_of(question):
+    """Returns the value with which the intervals of a question are compared."""
+    return {"left": question.get("limit"), "field": 100 * question.get("struck", 0)}.get(question["kind"], 0.0)
+
+
+def joined(question, runs):
+    """Returns {system: {(after_collision, types of followers, lorry_percent): intervals}}, and the thresholds.
+
+    The intervals are those of all runs with both estimators, which give nearly the same results.
+    """
+    by_system, thresholds = {}, []
+    for results in runs:
+        found, of_run = compare(question, results)
+        thresholds += of_run
+        for (name, (after_collision, _, followers, lorries)), bounds in found.items():
+            combination = (after_collision, followers, lorries)
+            by_system.setdefault(name, {}).setdefault(combination, []).append(bounds)
+    return by_system, thresholds
+
+
+def common_sides(found, reference=0.0):
+    """Returns the side of the intervals of each combination: 0 unless all of them have the same."""
+    sides = {key: {side(bounds, reference) for bounds in intervals} for key, intervals in found.items()}
+    return {key: of.pop() if len(of) == 1 else 0 for key, of in sides.items()}
+
+
+def intervals_of(found):
+    """Returns the intervals of all combinations."""
+    return [bounds for intervals in found.values() for bounds in intervals]
 
 
 def holds(conjunction, combination):
@@ -217,11 +239,11 @@ def conditional(sides, words):
                      if wanted in sides.values()) or "every interval contains 0"
 
 
-def spans(found, is_signed=True, digits=1):
+def spans(intervals, is_signed=True, digits=1):
     """Returns the extent of the values, and that of the ends of their intervals."""
-    ends = [end for bounds in found.values() for end in bounds[1:]]
+    ends = [end for bounds in intervals for end in bounds[1:]]
     low, high = (number(end, is_signed, digits) for end in (min(ends), max(ends)))
-    return extent([bounds[0] for bounds in found.values()], is_signed, digits), f"{low}…{high}"
+    return extent([bounds[0] for bounds in intervals], is_signed, digits), f"{low}…{high}"
 
 
 CHANGES = {1: "more", -1: "fewer"}
@@ -230,23 +252,14 @@ NO_ANSWER = "No common answer"
 
 def verdict(found, limit):
     """Returns the answer of one comparison in all combinations."""
-    sides = {key: side(bounds) for key, bounds in found.items()}
-    span, ends = spans(found)
-    values = f"{span} ({ends})."
+    sides, intervals = common_sides(found), intervals_of(found)
+    values = "{} ({}).".format(*spans(intervals))
     for wanted, word in CHANGES.items():
         if all(value == wanted for value in sides.values()):
             return f"{word.capitalize()}: {values}"
-    if limit and all(-limit < bounds[1] and bounds[2] < limit for bounds in found.values()):
+    if limit and all(-limit < bounds[1] and bounds[2] < limit for bounds in intervals):
         return f"The change is less than {limit:g}: {values}"
     return f"{NO_ANSWER} ({conditional(sides, CHANGES)}): {values}"
-
-
-def group(found):
-    """Returns {system: {combination: bounds}}."""
-    by_system = {}
-    for (name, key), bounds in found.items():
-        by_system.setdefault(name, {})[key] = bounds
-    return by_system
 
 
 def answer_of_change(question, by_system):
@@ -254,86 +267,106 @@ def answer_of_change(question, by_system):
         return verdict(*by_system.values(), RULE["limit"][question["measure"]])
     systems = {}
     for name, found in by_system.items():
-        sides = {key: side(bounds) for key, bounds in found.items()}
-        systems.setdefault(conditional(sides, CHANGES), []).append(f"`{name}`")
+        systems.setdefault(conditional(common_sides(found), CHANGES), []).append(f"`{name}`")
     most = max(systems, key=lambda parts: len(systems[parts]))
     others = "".join(f"; {', '.join(names)}: {parts}" for parts, names in systems.items() if parts != most)
-    span, ends = spans({(name, key): bounds for name, found in by_system.items() for key, bounds in found.items()})
+    span, ends = spans([bounds for found in by_system.values() for bounds in intervals_of(found)])
     count = sum(verdict(found, RULE["limit"][question["measure"]]).startswith(NO_ANSWER)
                 for found in by_system.values())
     return (f"{NO_ANSWER} for {count} of {len(by_system)} models of these cars, extrapolated here "
-            f"({len(systems[most])} of them: {most}{others}): {span} ({ends}).")
+            f"({len(systems[most])}: {most}{others}): {span} ({ends}).")
 
 
-def answer_of_left(question, found):
-    span, ends = spans(found, False)
-    is_left = all(bounds[1] > question["limit"] for bounds in found.values())
+def upper_bound(failures, runs, error_probability):
+    """Returns the one-sided upper bound of Clopper and Pearson of a probability."""
+    low, high = failures / runs, 1.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        at_most = sum(math.comb(runs, count) * middle ** count * (1 - middle) ** (runs - count)
+                      for count in range(failures + 1))
+        low, high = (middle, high) if at_most > error_probability else (low, middle)
+    return high
+
+
+def within_the_tests(runs, space, system):
+    """Returns how many emergencies of all runs within the tests end in a collision, and how many there are.
+
+    The first number is the largest of the motions after an impact and of the estimators.
+    """
+    drives = [[results[condition][space, system] for results in runs] for condition in runs[0]]
+    return (max(round(sum(sum(of.any) for of in of_runs)) for of_runs in drives),
+            sum(len(of.any) for of in drives[0]))
+
+
+def answer_of_left(question, found, runs, fails_s9):
+    """Returns the answer about collisions that are left, with its reversal within the tests."""
+    intervals = intervals_of(found)
+    span, ends = spans(intervals, False)
+    is_left = all(bounds[1] > question["limit"] for bounds in intervals)
     word = "No" if is_left else NO_ANSWER
-    return (f"{word}, in these emergencies, which go beyond the tests: {span} ({ends}) still end in a collision; the "
-            f"limit is {question['limit']:g}.")
+    count, emergencies = within_the_tests(runs, "within-the-tests", CONFORMING)
+    upper = 100 * upper_bound(count, emergencies, RULE["error_probability"] / comparisons())
+    if upper >= question["limit"] or not fails_s9:
+        sys.exit("error: the sentence about collisions within the tests holds no longer")
+    return (f"{word}, in these emergencies: {span} ({ends}) still end in a collision; the limit is "
+            f"{question['limit']:g}. **Yes, within the tests' speeds and braking**, on dry roads without lorries: "
+            f"{100 * count / emergencies:.1f} (at most {upper:.1f}). The brake fails S9 of the suite.")
 
 
-def answer_of_field(question, results, found, thresholds):
-    """Returns the answer about the field, and the one of the script as it was committed before the run."""
-    if len(found) < len(combinations("field")):
+def answer_of_field(question, runs, found, thresholds):
+    """Returns the answer about the field."""
+    intervals, reference = intervals_of(found), reference_of(question)
+    if len(intervals) < len(combinations("field")) * len(runs):
         return "No answer: in some combinations no threshold up to 3 s halves the collisions ahead."
-    reported = 100 * question["struck"]
-    sides = {key: side(bounds, reported) for key, bounds in found.items()}
-    parts = conditional(sides, {-1: "lower", 1: "higher"})
-    span, ends = spans(found, digits=0)
-    committed = group(compare(question, results, has_floor=True)[0])["all"]
-    agree = sum(side(bounds, reported) == 0 for bounds in committed.values())
-    changed = (f"**Changed after the run**: the first script, by a fault, had wider intervals "
-               f"({spans(committed, digits=0)[1]} %), {agree} of {len(committed)} around +{reported:.0f} %.")
-    return (f"{NO_ANSWER} ({parts}): {span} % "
-            f"({ends} %), at {extent(thresholds, False)} s. {changed}")
+    parts = conditional(common_sides(found, reference), {-1: "lower", 1: "higher"})
+    span, ends = spans(intervals, digits=0)
+    return (f"{NO_ANSWER} ({parts}): {span} % ({ends} %), at {extent(thresholds, False)} s.")
 
 
-def answer(question, results):
+def answer(question, runs, fails_s9):
     """Returns the sentence that answers a question."""
-    found, thresholds = compare(question, results)
-    by_system, kind = group(found), question["kind"]
+    by_system, thresholds = joined(question, runs)
+    kind = question["kind"]
     if kind == "change":
         return answer_of_change(question, by_system)
     if kind == "conforming":
         return verdict(by_system["all"], 0)
     if kind == "left":
-        return answer_of_left(question, by_system["all"])
-    return answer_of_field(question, results, by_system.get("all", {}), thresholds)
+        return answer_of_left(question, by_system["all"], runs, fails_s9)
+    return answer_of_field(question, runs, by_system.get("all", {}), thresholds)
 
 
-def repeated(results, others):
+def repeated(runs):
     """Returns the number of comparisons with the same side in both runs, and that of all.
 
     Sides are those of 0, of the limit of the collisions that are left, or of the field's value.
     """
     counts = [0, 0]
     for question in QUESTIONS["questions"]:
-        reference = {"left": question.get("limit"), "field": 100 * question.get("struck", 0)}.get(question["kind"], 0)
-        first, second = (compare(question, of)[0] for of in (results, others))
+        reference = reference_of(question)
+        first, second = (compare(question, results)[0] for results in runs)
         counts[0] += sum(key in second and side(bounds, reference) == side(second[key], reference)
                          for key, bounds in first.items())
         counts[1] += len(first)
     return counts
 
 
-def all_answers(results):
+def all_answers(runs, fails_s9):
     """Returns the list of questions with their answers."""
-    lines = [f"{place}. **{question['text']}** {answer(question, results)}"
+    lines = [f"{place}. **{question['text']}** {answer(question, runs, fails_s9)}"
              for place, question in enumerate(QUESTIONS["questions"], 1)]
     return [textwrap.fill(line, 140, subsequent_indent="   ", break_long_words=False, break_on_hyphens=False)
             for line in lines]
 
 
-def systems_answers(results):
+def systems_answers(runs):
     """Returns a row for each system of the question about several: its answers by the motion after an impact."""
     question = next(one for one in QUESTIONS["questions"] if len(one.get("after", [])) > 1)
     rows = []
-    for name, found in group(compare(question, results)[0]).items():
+    for name, found in joined(question, runs)[0].items():
         row = [f"`{name}`"]
         for after_collision in ASSUMPTIONS["after_collision"]:
-            part = {key: bounds for key, bounds in found.items() if key[0] == after_collision}
-            sides = {key: side(bounds) for key, bounds in part.items()}
-            row += [conditional(sides, CHANGES), "{} ({})".format(*spans(part))]
+            part = {key: intervals for key, intervals in found.items() if key[0] == after_collision}
+            row += [conditional(common_sides(part), CHANGES), "{} ({})".format(*spans(intervals_of(part)))]
         rows.append(row)
     return rows

@@ -2,7 +2,7 @@
 
 from drives import change, interval, quantile, weights
 from page import LORRY_PERCENT, cell, check_tables, table
-from study import BRAKE, CONFORMING, HUMAN, NONE, Assessment, claim, space_with_follower
+from study import BRAKE, CONFORMING, HUMAN, NONE, Assessment, space_with_follower
 from time_gaps import histogram
 
 DRAWS = 1000
@@ -26,13 +26,13 @@ CHANGES = {
     "braking level 6.9 m/s²": ("brake_mps2=6.9", "kalman", []),
     "0.3 glances per second": ("glance_per_s=0.3", "kalman", []),
     "followers have a brake from 1.4 s": ("aeb_ttc_s=1.4", "kalman", []),
-    "time gaps behind: short setting": ("", "kalman", [gaps(2, "short")]),
-    "time gaps behind: long setting": ("", "kalman", [gaps(2, "long")]),
-    "time gaps behind: manual driving": ("", "kalman", [gaps(2, "manual")]),
-    "time gaps ahead: manual driving": ("", "kalman", [gaps(1, "manual")]),
-    "leader brakes less (mean share 0.35)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
+    "gaps behind: short setting": ("", "kalman", [gaps(2, "short")]),
+    "gaps behind: long setting": ("", "kalman", [gaps(2, "long")]),
+    "gaps behind: manual driving": ("", "kalman", [gaps(2, "manual")]),
+    "gaps ahead: manual driving": ("", "kalman", [gaps(1, "manual")]),
+    "leader brakes less (share 0.35)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
                                                              "mean = 0.35, deviation = 0.2")]),
-    "leader brakes more (mean share 0.7)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
+    "leader brakes more (share 0.7)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
                                                             "mean = 0.7, deviation = 0.2")]),
     "wet road (mean friction 0.6)": ("", "kalman", [("mean = 1.0, deviation = 0.2", "mean = 0.6, deviation = 0.2")]),
     "sensors: latency 0.2 s, range 60 m": ("", "kalman", [
@@ -40,25 +40,30 @@ CHANGES = {
 }
 
 
-def sensitivity(crumple, folder, page, is_written):
-    """Runs every change if `crumple` is given, and compares, writes or prints the table."""
-    if crumple:
-        claim(crumple, folder)
-    of, rows = weights(["human"], LORRY_PERCENT), []
+def assessments():
+    """Returns the assessment of each assumption."""
+    made = {}
     for index, (assumption, (settings, estimator, replacements)) in enumerate(CHANGES.items()):
-        follower = "human," + settings if settings else "human"
-        assessment = Assessment(f"sensitivity-{index:02}",
-                                {"changed": space_with_follower("changed", follower, *replacements)},
-                                [NONE, BRAKE, HUMAN, CONFORMING], DRAWS, "hold", estimator)
-        if crumple:
-            assessment.run(crumple, folder)
+        space = space_with_follower("changed", "human," + settings if settings else "human", *replacements)
+        made[assumption] = Assessment(f"sensitivity-{index:02}", {"changed": space}, [NONE, BRAKE, HUMAN, CONFORMING],
+                                      DRAWS, "hold", estimator)
+    return made
+
+
+def run(crumple, folder):
+    for assumption, assessment in assessments().items():
+        assessment.run(crumple, folder)
+        print(assumption, flush=True)
+
+
+def check(page, folder, is_written):
+    """Compares the table with the runs, or writes it."""
+    of, rows = weights(["human"], LORRY_PERCENT), []
+    for assumption, assessment in assessments().items():
         drives = {system: of_system for (_, system), of_system in assessment.read(folder).items()}
         cells = [cell(interval(change(drives[after], drives[before], measure).mean(of), quantile(0.05)), True)
                  for before, after in ((HUMAN, CONFORMING), (NONE, BRAKE)) for measure in ("behind", "harm")]
         rows.append((assumption, *cells))
     made = table(["assumption", "human + brake 2 s: behind", "human + brake 2 s: injuries", "brake 2 s: behind",
                   "brake 2 s: injuries"], rows)
-    if page:
-        check_tables(page, {"sensitivity": made}, is_written)
-    else:
-        print(made)
+    check_tables(page, {"sensitivity": made}, is_written)

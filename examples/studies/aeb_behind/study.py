@@ -13,17 +13,20 @@ from drives import read
 
 HERE = Path(__file__).resolve().parent
 SPACE = HERE.parent / "emergencies.toml"
+WITHIN_THE_TESTS = HERE / "within-the-tests.toml"
 CONFIG = HERE.parent / "aeb-behind.toml"
 QUESTIONS = tomllib.loads((HERE / "questions.toml").read_text())
 SYSTEMS = tomllib.loads(CONFIG.read_text())["controllers"]
 SEED = tomllib.loads(CONFIG.read_text())["seed"]
-# Seed of the repeated run, chosen and committed before it.
+# Seed of the second run, chosen and committed before it.
 SEED_OF_REPETITION = 20261130
-# Drivers of crumple that observe the vehicle behind. They were added after the run: no question names them.
+# Drivers of crumple that observe the vehicle behind. They were added after the first run: no question names them.
 ADDED = ["predictive", "road"]
 NONE, BRAKE, HUMAN, ASSISTED, CONFORMING = ("emergency-brake,ttc_s=0", "emergency-brake,ttc_s=2", "human",
                                             "human,aeb_ttc_s=1.4", "human,aeb_ttc_s=2")
 CONDITIONS = list(itertools.product(QUESTIONS["assumptions"]["after_collision"], QUESTIONS["assumptions"]["estimator"]))
+# Emergencies within speeds and braking of the tests: all cars behind have the brake, or none.
+SPACES_WITHIN_THE_TESTS = ["within-the-tests", "within-the-tests-alone"]
 CONFORMING_SPACES = {"followers-alone": "human", "followers-conforming": CONFORMING}
 
 
@@ -143,7 +146,13 @@ def assessments(after_collision, estimator, seed=SEED):
     draws, condition = tomllib.loads(CONFIG.read_text())["draws"], f"{after_collision}-{estimator}"
     emergencies = {"emergencies": SPACE.read_text()}
     conforming = {name: space_with_follower(name, follower) for name, follower in CONFORMING_SPACES.items()}
-    parts = [("", emergencies, systems(estimator)), ("-conforming", conforming, [HUMAN, CONFORMING])]
+    all_brake, alone = SPACES_WITHIN_THE_TESTS
+    text = WITHIN_THE_TESTS.read_text()
+    within = {all_brake: text, alone: replaced(
+        text, (f'name = "{all_brake}"\nabout = """', f'name = "{alone}"\nabout = """'),
+        ("driver.human = { aeb_ttc_s = 2 }", 'driver = "human"'))}
+    parts = [("", emergencies, systems(estimator)), ("-conforming", conforming, [HUMAN, CONFORMING]),
+             ("-within-the-tests", within, [HUMAN, CONFORMING])]
     if estimator == "kalman":
         parts.append(("-added", emergencies, ADDED))
     return [Assessment(condition + ending, spaces, of, draws, after_collision, estimator, seed)
@@ -151,15 +160,10 @@ def assessments(after_collision, estimator, seed=SEED):
 
 
 def run(crumple, folder):
-    """Runs the suite, and all assessments of the study."""
+    """Runs the suite, and all assessments of both runs of the study."""
     claim(crumple, folder)
     run_suite(crumple, folder / "suite")
     run_assessments(crumple, folder, SEED)
-
-
-def repeat(crumple, folder):
-    """Runs all assessments of the study with another seed."""
-    claim(crumple, folder)
     run_assessments(crumple, folder / "repeated", SEED_OF_REPETITION)
 
 
