@@ -4,7 +4,8 @@
 //! ```sh
 //! cargo run --release -p crumple-experiments -- follower_kinds 7000 followers idm predictive road seed=909090
 //! ```
-//! The arguments are the number of random scenarios, the space, and controllers, of which the first is the reference.
+//! The arguments are the number of random scenarios, the space (built in, or a file), and controllers, of which the
+//! first is the reference.
 //! `seed=N` takes other random scenarios, and `estimator=truth` shows the true state to the controllers.
 //!
 //! Columns: runs of this kind; collisions; those with the leader; collisions that the reference avoids, and collisions
@@ -21,8 +22,8 @@ use crumple::measure::{EASY_BRAKE_MPS2, HARD_BRAKE_MPS2};
 use crumple::sim::engine::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
 use crumple::sim::observation::EstimatorKind;
 use crumple::sim::scenario::Scenario;
-use crumple::spaces::{ScenarioSpace, built_in_space};
-use crumple_controllers::find_and_try;
+use crumple::spaces::{ScenarioSpace, find_space};
+use crumple_controllers::{Controllers, find_and_try};
 
 const SEED: u64 = 0x6b69_6e64;
 /// Scenarios simulated at once: each keeps its trace.
@@ -52,8 +53,7 @@ impl Arguments {
             .ok_or_else(|| format!("`{runs}` is no number of runs from 1 to {MAX_RUNS}"))?;
         let mut parsed = Self {
             runs: count,
-            space: built_in_space(space)
-                .ok_or_else(|| format!("there is no built-in space `{space}`"))?,
+            space: find_space(space, &Controllers::default())?,
             controllers: Vec::new(),
             seed: SEED,
             estimator: EstimatorKind::Kalman,
@@ -73,17 +73,17 @@ impl Arguments {
         }
         Ok(parsed)
     }
+}
 
-    /// Returns the kind of follower of random scenario `index`.
-    fn kind(&self, index: u64) -> String {
-        let values = self.space.values(&self.space.draw_point(self.seed, index));
-        let parameters = self.space.coordinate_parameters().zip(values);
-        let mut kinds = parameters.filter(|(parameter, _)| parameter.name() == KIND_PARAMETER);
-        kinds.next().map_or_else(
-            || "any".to_owned(),
-            |(parameter, value)| parameter.format_value(value),
-        )
-    }
+/// Returns the kind of follower of random scenario `index` of `space`, or `any` if the space draws none.
+pub(crate) fn follower_kind(space: &ScenarioSpace, seed: u64, index: u64) -> String {
+    let values = space.values(&space.draw_point(seed, index));
+    let parameters = space.coordinate_parameters().zip(values);
+    let mut kinds = parameters.filter(|(parameter, _)| parameter.name() == KIND_PARAMETER);
+    kinds.next().map_or_else(
+        || "any".to_owned(),
+        |(parameter, value)| parameter.format_value(value),
+    )
 }
 
 /// Outcome of one drive.
@@ -165,7 +165,8 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
             .map(|controller| drive_all(&scenarios, controller, arguments.estimator))
             .collect::<Result<Vec<_>, _>>()?;
         for (position, index) in indices.enumerate() {
-            for kind in [arguments.kind(index), "all".to_owned()] {
+            let kind = follower_kind(&arguments.space, arguments.seed, index);
+            for kind in [kind, "all".to_owned()] {
                 for (number, of_controller) in drives.iter().enumerate() {
                     let reference = &drives[0][position];
                     let total = totals.entry((kind.clone(), number)).or_default();

@@ -15,6 +15,7 @@ mod openacc;
 mod plants_and_sensors;
 mod scenario_of_input;
 mod search_comparison;
+mod steady_drives;
 mod transmission;
 mod two_sided;
 
@@ -101,6 +102,11 @@ const EXPERIMENTS: &[Experiment] = &[
         name: "search_comparison",
         arguments: "EVALUATIONS SEEDS",
         run: search_comparison::run,
+    },
+    Experiment {
+        name: "steady_drives",
+        arguments: "RUNS REFERENCE CONTROLLER... [seed=N]",
+        run: steady_drives::run,
     },
     Experiment {
         name: "transmission",

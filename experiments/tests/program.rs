@@ -45,6 +45,14 @@ fn bad_arguments_are_one_error_with_the_usage() {
             &["both_sides", "0"][..],
             "usage: both_sides RUNS CONTROLLER...",
         ),
+        (
+            &["follower_kinds", "10", "nowhere", "idm"][..],
+            "`nowhere` is neither a built-in space",
+        ),
+        (
+            &["steady_drives"][..],
+            "how many drives?; usage: steady_drives RUNS REFERENCE CONTROLLER... [seed=N]",
+        ),
     ] {
         let output = run(arguments);
         let error = String::from_utf8(output.stderr).unwrap();
@@ -60,6 +68,33 @@ fn bad_arguments_are_one_error_with_the_usage() {
 }
 
 /// The script takes files from a folder or from an address, and refuses missing and other files.
+#[test]
+fn kinds_of_follower_come_from_a_space_in_a_file_too() {
+    let output = run(&[
+        "follower_kinds",
+        "30",
+        "corpora/spaces/everyday-cars.toml",
+        "idm",
+    ]);
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{table}");
+    assert!(table.contains("| all | idm | 30 |"), "{table}");
+    assert!(table.contains("| cruise:"), "{table}");
+}
+
+#[test]
+fn the_reference_differs_from_itself_in_no_steady_drive() {
+    let output = run(&["steady_drives", "20", "idm", "idm"]);
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{table}");
+    let of_all = table.lines().filter(|line| line.starts_with("| all |"));
+    let rows: Vec<_> = of_all.collect();
+    assert_eq!(
+        rows, ["| all | idm | 20 | 0 | 0.000 | 0 | 0.000 | 0 |"; 2],
+        "{table}"
+    );
+}
+
 #[test]
 fn the_script_of_openacc_checks_each_file() {
     let folder = tempfile::tempdir().unwrap();

@@ -146,6 +146,14 @@ fn claims_about_drivers_name_their_space_and_follower() {
             "of `high-risk`, in %; followers drive `baseline`",
         ),
         (
+            "README.md",
+            "`road` collides less often than `idm`, if the brake acts at once",
+        ),
+        (
+            "reports/driver.md",
+            "If it acts 0.2 s later, `predictive` collides *more* often than `idm` with `human` behind",
+        ),
+        (
             "docs/limits.md",
             "In `paper` and `high-risk` the follower drives `baseline`",
         ),
