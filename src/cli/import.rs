@@ -163,6 +163,20 @@ pub(super) fn note_text_format(path: &Path, text: &TextFormat, quiet: bool) {
     }
 }
 
+/// Returns a note about columns that a draft does not read; `None` without such columns.
+fn unread_columns(names: &[String]) -> Option<String> {
+    const MAX_NAMED: usize = 10;
+    let named: Vec<&str> = names.iter().take(MAX_NAMED).map(String::as_str).collect();
+    let others = match names.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        count => format!(" and {count} more"),
+    };
+    let named = named.join(", ");
+    (!names.is_empty()).then(|| {
+        format!("note: the draft does not read these columns, which look like spacings or speeds: {named}{others}")
+    })
+}
+
 fn note_dropped(report: &ImportReport, quiet: bool) {
     for dropped in &report.dropped {
         output::note(dropped, quiet);
@@ -233,6 +247,9 @@ impl Import {
             "note: check the draft: the columns do not show bumpers, lengths and ids",
             quiet,
         );
+        if let Some(unread) = unread_columns(&draft.unread) {
+            output::note(&unread, quiet);
+        }
         let text = draft.map.to_toml().map_err(CliError::input)?;
         output::print_result(self.format, &draft.map, || text)
     }

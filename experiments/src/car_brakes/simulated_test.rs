@@ -133,7 +133,7 @@ pub(super) fn variations(stated: &Assumptions) -> Vec<(String, Assumptions)> {
         changed("partial braking at 0.45 g", &|a| {
             a.partial = partial(1.6, 0.45);
         }),
-        changed("mean of the other cars", &|a| {
+        changed("TTC of iX and Corolla as in the first model", &|a| {
             a.without_collision = WithoutCollision::MeanOfOthers;
         }),
         changed("leader brakes at once", &|a| a.lead_ramp_s = 0.0),

@@ -18,6 +18,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use crumple_sim::control::BuiltInController;
 use rayon::prelude::*;
 
 pub(crate) use self::drives::listed_files;
@@ -160,16 +161,7 @@ impl<'d> FittedCar<'d> {
     /// Returns the controller file of a distance setting.
     fn controller_file(&self, setting: DistanceSetting) -> Result<String, ExperimentError> {
         let controller = self.chosen().controller(setting);
-        let mut text = self.comment(setting)?;
-        text += &format!(
-            "version = 1\nbuilt_in = \"{}\"\n\n[settings]\n",
-            controller.name()
-        );
-        for setting in controller.to_arg().split(',').skip(1) {
-            text += &setting.replace('=', " = ");
-            text += "\n";
-        }
-        Ok(text)
+        Ok(self.comment(setting)? + &controller_toml(controller))
     }
 
     fn comment(&self, setting: DistanceSetting) -> Result<String, ExperimentError> {
@@ -190,6 +182,21 @@ impl<'d> FittedCar<'d> {
             reference.rms_m(),
         ))
     }
+}
+
+/// Returns a controller file without comments: the settings that differ from their defaults. The text for the command
+/// line has no settings if they are those of a model `cruise:...`.
+fn controller_toml(controller: &BuiltInController) -> String {
+    let name = controller.name();
+    let mut text = format!("version = 1\nbuilt_in = \"{name}\"\n\n[settings]\n");
+    let default = BuiltInController::from_name(name);
+    let defaults = default.iter().flat_map(BuiltInController::values);
+    for ((field, value), (_, default)) in controller.values().zip(defaults) {
+        if value != default {
+            text += &format!("{} = {value}\n", field.name);
+        }
+    }
+    text
 }
 
 fn print_table(fitted: &[FittedCar<'_>]) -> Result<(), ExperimentError> {

@@ -4,9 +4,11 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
+use super::controller_toml;
 use super::drives::{self, DistanceSetting, Half};
 use super::fit::{FAMILIES, FIT_STEP_S, FollowingModel};
 use crumple_core::digest::sha256;
+use crumple_sim::control::BuiltInController;
 
 /// Speed of the leader of a synthetic recording, in m/s.
 fn leader_mps(time_s: f64) -> f64 {
@@ -112,4 +114,22 @@ fn the_fit_of_a_known_car_has_almost_no_error() {
         "{error:?} {defaults:?}"
     );
     assert_eq!(error.collisions, 0);
+}
+
+/// The published files have the settings of the models `cruise:...`, and the experiment writes them again.
+#[test]
+fn a_controller_file_has_all_fitted_settings() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/controllers/openacc");
+    let mut files = 0;
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let stem = path.file_stem().unwrap().to_str().unwrap();
+        let model = BuiltInController::from_preset(&format!("cruise:{stem}")).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        let (comment, settings) = text.split_at(text.find("version = 1").unwrap());
+        assert!(comment.starts_with('#'), "{stem}");
+        assert_eq!(settings, controller_toml(&model), "{stem}");
+        files += 1;
+    }
+    assert_eq!(files, 20);
 }

@@ -161,3 +161,23 @@ fn assess_undecided(folder: &Path, config: &str) {
         "vehicles[1].recorded: is the motion in",
     );
 }
+
+/// A log of a car with a second range that no field of the draft reads.
+#[test]
+fn a_drafted_map_names_the_columns_that_it_leaves_out() {
+    let folder = temp_folder();
+    let mut text = "time,gap,v,v_lead,range_left\n".to_owned();
+    for sample in 0..600 {
+        let time_s = f64::from(sample) * 0.1;
+        let gap_m = 30.0 - (0.5 * time_s).cos();
+        let closing_mps = 0.5 * (0.5 * time_s).sin();
+        text += &format!("{time_s:.1},{gap_m:.3},20,{:.3},7\n", 20.0 + closing_mps);
+    }
+    fs::write(folder.path().join("log.csv"), text).unwrap();
+    let drafted = run_ok(folder.path(), "import log.csv --guess");
+    let note = "note: the draft does not read these columns, which look like spacings or speeds: range_left\n";
+    assert!(stderr(&drafted).contains(note), "{}", stderr(&drafted));
+    assert!(!stdout(&drafted).contains("range_left"));
+    let quiet = run_ok(folder.path(), "import log.csv --guess --quiet");
+    assert_eq!(stderr(&quiet), "");
+}

@@ -185,6 +185,41 @@ fn guesses_recognise_the_vehicle_behind() {
     );
 }
 
+/// Beside columns of the vehicle ahead, a follower is the vehicle behind; alone it is the vehicle under test.
+#[test]
+fn a_guess_reads_columns_of_a_follower_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.csv");
+    let speeds = rows(60, |time_s| [gap_m(2, time_s), speed_mps(2, time_s)]);
+    for names in [
+        "t,dx_lead,v_ego,v_lead,dx_follow,v_follow",
+        "time,gap,v,v_lead,gap_follower,v_follower",
+        "time,dist_preceding,v_ego,v_preceding,dist_following,v_following",
+    ] {
+        std::fs::write(&path, format!("{names}\n{speeds}")).unwrap();
+        let draft = guess::guess(&path).unwrap().expect("a draft");
+        let LayoutSpec::Pairs(pairs) = &draft.map.layout else {
+            panic!("{:?}", draft.map)
+        };
+        let behind = pairs.behind.as_ref().expect("a vehicle behind");
+        let names: Vec<_> = names.split(',').collect();
+        assert_eq!(behind.spacing.column, names[4]);
+        assert_eq!(behind.speed.as_ref().unwrap().column, names[5]);
+        assert_eq!(pairs.follower_speed.as_ref().unwrap().column, names[2]);
+        assert!(draft.unread.is_empty(), "{:?}", draft.unread);
+    }
+    // The gap of the follower to its leader is the only one: the follower is under test.
+    let names = "time,gap_follower,v_follower,v_lead,distance_left,note";
+    std::fs::write(&path, format!("{names}\n{speeds}")).unwrap();
+    let draft = guess::guess(&path).unwrap().expect("a draft");
+    let LayoutSpec::Pairs(pairs) = &draft.map.layout else {
+        panic!("{:?}", draft.map)
+    };
+    assert!(pairs.behind.is_none());
+    assert_eq!(pairs.follower_speed.as_ref().unwrap().column, "v_follower");
+    assert_eq!(draft.unread, ["distance_left"]);
+}
+
 /// CAN frames of a front and a rear radar, decoded with a DBC file.
 #[cfg(feature = "mdf")]
 #[test]

@@ -23,6 +23,9 @@ const SPEEDS: &str =
 const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus \
     vorausfahrend ziel objekt";
 const BEHIND: &str = "rear behind back hinten hinter heck";
+/// Words of the vehicle behind in a recording that also describes the vehicle ahead. In other recordings of pairs, the
+/// follower is the vehicle under test.
+const BEHIND_OR_FOLLOWING: &str = "rear behind back hinten hinter heck follow";
 const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
 const EVENTS: &str = "event eventid episode episodeid pair pairid";
 const LANES: &str = "lane laneid spur fahrstreifen";
@@ -38,6 +41,8 @@ pub struct MapDraft {
     pub built_in: Option<&'static str>,
     /// The first rows of the recording, read with it.
     pub recording: Recording,
+    /// Columns that look like spacings or speeds, and that the map does not read.
+    pub unread: Vec<String>,
 }
 
 /// Columns of a file with the words of their names.
@@ -69,6 +74,19 @@ impl Columns {
                     .any(|excluded| has_word(name_words, excluded))
         });
         column.map(|(name, _)| name)
+    }
+
+    /// Returns the columns that look like spacings or speeds, and that a map does not read.
+    fn unread(&self, map: &RecordingMapSpec) -> Vec<String> {
+        let read = map.columns();
+        let is_read = |name: &String| read.iter().any(|(_, column)| column == name);
+        let is_motion = |words: &[String]| {
+            let kinds = [SPACINGS, RELATIVE, SPEEDS];
+            kinds.into_iter().any(|kind| has_word(words, kind))
+        };
+        let columns = self.0.iter();
+        let unread = columns.filter(|(name, words)| is_motion(words) && !is_read(name));
+        unread.map(|(name, _)| name.clone()).collect()
     }
 }
 
@@ -113,25 +131,25 @@ struct NamedColumns<'c> {
 }
 
 impl<'c> NamedColumns<'c> {
-    /// Finds the columns; `None` without times.
-    fn find(columns: &'c Columns) -> Option<Self> {
+    /// Finds the columns, those of the vehicle behind by the words `behind`; `None` without times.
+    fn find(columns: &'c Columns, behind: &str) -> Option<Self> {
         let not_vehicle = [
             LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS, LEADERS, EVENTS,
         ];
         Some(Self {
             time: columns.find(TIMES, &[SPACINGS])?,
-            spacing: columns.find(SPACINGS, &[RELATIVE, TIMES, BEHIND]),
-            relative: columns.find(RELATIVE, &[BEHIND]),
-            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS, BEHIND]),
-            own: columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS, BEHIND]),
+            spacing: columns.find(SPACINGS, &[RELATIVE, TIMES, behind]),
+            relative: columns.find(RELATIVE, &[behind]),
+            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS, behind]),
+            own: columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS, behind]),
             position: columns.find(POSITIONS, &[SPEEDS, LEADERS]),
             event: columns.find(EVENTS, &[TIMES]),
             vehicle: columns.find(VEHICLES, &not_vehicle),
             lane: columns.find(LANES, &[LEADERS]),
-            length: columns.find(LENGTHS, &[LEADERS, BEHIND]),
-            spacing_behind: columns.find_both(SPACINGS, BEHIND, &[RELATIVE, TIMES]),
-            speed_behind: columns.find_both(SPEEDS, BEHIND, &[RELATIVE, TIMES, SPACINGS]),
-            relative_behind: columns.find_both(RELATIVE, BEHIND, &[]),
+            length: columns.find(LENGTHS, &[LEADERS, behind]),
+            spacing_behind: columns.find_both(SPACINGS, behind, &[RELATIVE, TIMES]),
+            speed_behind: columns.find_both(SPEEDS, behind, &[RELATIVE, TIMES, SPACINGS]),
+            relative_behind: columns.find_both(RELATIVE, behind, &[]),
         })
     }
 
@@ -251,21 +269,19 @@ fn spacing_spec(column: &str, unit: &str) -> SpacingSpec {
 
 /// Returns the candidate maps, the likeliest first: without units, if the file states them.
 fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
-    let Some(named) = NamedColumns::find(columns) else {
+    let Some(named) = NamedColumns::find(columns, BEHIND) else {
         return Vec::new();
     };
     // Epoch times need no name.
     let time_unit =
         unit_or_default(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
-    let mut layouts: Vec<LayoutSpec> = Vec::new();
-    for speed_unit in unit_names(SpeedUnit::ALL, states_units) {
-        for length_unit in unit_names(LengthUnit::ALL, states_units) {
-            for layout in named.layouts(speed_unit, length_unit) {
-                if !layouts.contains(&layout) {
-                    layouts.push(layout);
-                }
-            }
-        }
+    let mut layouts = layouts_with_units(&named, states_units);
+    if let Some(named) = NamedColumns::find(columns, BEHIND_OR_FOLLOWING) {
+        layouts.extend(
+            layouts_with_units(&named, states_units)
+                .into_iter()
+                .filter(has_vehicle_behind),
+        );
     }
     // The layout weighs more than the units: a recording of pairs may contradict a map of tracks in no unit.
     let has_tracks_first = matches!(layouts.first(), Some(LayoutSpec::Tracks(_)));
@@ -282,6 +298,21 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
         RecordingMapSpec::new("draft".to_owned(), time, layout)
     });
     maps.collect()
+}
+
+/// Returns the candidate layouts with all default units, each once, the likeliest first.
+fn layouts_with_units(named: &NamedColumns<'_>, states_units: bool) -> Vec<LayoutSpec> {
+    let mut layouts: Vec<LayoutSpec> = Vec::new();
+    for speed_unit in unit_names(SpeedUnit::ALL, states_units) {
+        for length_unit in unit_names(LengthUnit::ALL, states_units) {
+            for layout in named.layouts(speed_unit, length_unit) {
+                if !layouts.contains(&layout) {
+                    layouts.push(layout);
+                }
+            }
+        }
+    }
+    layouts
 }
 
 fn has_vehicle_behind(layout: &LayoutSpec) -> bool {
@@ -349,6 +380,7 @@ fn built_in_draft(path: &Path, names: &[String]) -> Option<MapDraft> {
         map: map.spec().clone(),
         built_in: Some(name),
         recording,
+        unread: Vec::new(),
     })
 }
 
@@ -387,6 +419,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
             Ok(recording) => {
                 let is_consistent = is_consistent(&recording);
                 let draft = MapDraft {
+                    unread: columns.unread(&map),
                     map,
                     built_in: None,
                     recording,
