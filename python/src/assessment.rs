@@ -317,12 +317,14 @@ fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {
             errors::scenario_file_exception(py, ExceptionClass::Assessment, error)
         }
         AssessConfigError::Field {
-            path, line, field, ..
+            path,
+            line,
+            invalid,
         } => errors::exception_at(
             py,
             ExceptionClass::Assessment,
             error,
-            (Some(path), Some(*line), Some(field)),
+            (Some(path), Some(*line), Some(&invalid.field)),
         ),
         other => errors::exception(py, ExceptionClass::Assessment, other),
     }

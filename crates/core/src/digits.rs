@@ -86,6 +86,25 @@ pub fn format_fixed_up(bound: f64, decimals: usize) -> String {
     format_fixed_towards(bound, decimals, 1.0)
 }
 
+/// Returns an interval with a fixed number of decimals, its ends rounded outward.
+///
+/// ```
+/// use crumple_core::digits::format_interval;
+/// assert_eq!("0.12 to 0.36", format_interval([0.1249, 0.351], 2));
+/// ```
+#[must_use]
+pub fn format_interval([lower, upper]: [f64; 2], decimals: usize) -> String {
+    let lower = format_fixed_down(lower, decimals);
+    let upper = format_fixed_up(upper, decimals);
+    format!("{lower} to {upper}")
+}
+
+/// Returns a number with a fixed number of decimals, or a hyphen for `None`: a cell of a table in a terminal.
+#[must_use]
+pub fn format_or_hyphen(number: Option<f64>, decimals: usize) -> String {
+    number.map_or("-".to_owned(), |number| format_fixed(number, decimals))
+}
+
 /// Returns a number with a fixed number of decimals, rounded in the direction of a sign.
 fn format_fixed_towards(number: f64, decimals: usize, sign: f64) -> String {
     let nearest = format_fixed(number, decimals);

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::binomial;
-use super::digits::{format_fixed_down, format_fixed_up};
+use super::digits::format_interval;
 
 /// A two-sided confidence interval of a rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -30,9 +30,7 @@ impl RateInterval {
     /// Returns both ends in percent, rounded outward: `0.2 to 7.1`.
     #[must_use]
     pub fn to_percent_text(&self, decimals: usize) -> String {
-        let lower = format_fixed_down(100.0 * self.lower, decimals);
-        let upper = format_fixed_up(100.0 * self.upper, decimals);
-        format!("{lower} to {upper}")
+        format_interval([self.lower, self.upper].map(|end| 100.0 * end), decimals)
     }
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::drives::{DriveEnd, DriveRun, DriveRuns, DriveSet, MeasuredDrive};
 use super::exposure::{CONFIDENCE, IntervalEstimate};
 use super::replay_report::plural;
-use crumple_core::digits::format_fixed;
+use crumple_core::digits::format_or_hyphen;
 use crumple_core::interval::RateInterval;
 use crumple_core::quoting::TerminalText;
 use crumple_measure::{CollisionRole, FAR_TIME_GAP_S, HARD_BRAKE_MPS2};
@@ -260,12 +260,12 @@ impl DriveReport {
             return format!("{kinds}: no drive was decided\n");
         }
         let share = RateInterval::clopper_pearson(self.failures.count, decided, CONFIDENCE);
-        let [lower, upper] = [share.lower, share.upper].map(|share| format_fixed(100.0 * share, 2));
         let of_drives = match ended_by_others {
             0 => "drives".to_owned(),
             _ => format!("{decided} drives that no other vehicle ended"),
         };
-        format!("{kinds}: {lower} to {upper} % of {of_drives} at 95 %\n")
+        let percent = share.to_percent_text(2);
+        format!("{kinds}: {percent} % of {of_drives} at 95 %\n")
     }
 
     /// Returns the table of comfort, beside the recorded cars.
@@ -284,13 +284,11 @@ impl DriveReport {
             .into_iter()
             .filter_map(|(name, comfort)| Some((name, comfort?)));
         for (name, comfort) in rows {
-            let format =
-                |value: Option<f64>| value.map_or("-".to_owned(), |value| format_fixed(value, 2));
             text += &format!(
                 "  {name:<24} {:>14} {:>14} {:>14} {:>20}\n",
-                format(comfort.rms_jerk_mps3),
-                format(comfort.rms_jerk_sampled_mps3),
-                format(comfort.time_gap_s),
+                format_or_hyphen(comfort.rms_jerk_mps3, 2),
+                format_or_hyphen(comfort.rms_jerk_sampled_mps3, 2),
+                format_or_hyphen(comfort.time_gap_s, 2),
                 comfort.hard_braking_drives
             );
         }

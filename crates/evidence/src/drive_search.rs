@@ -133,13 +133,7 @@ impl DriveRun {
     pub(super) fn describe_end(&self) -> String {
         match &self.end {
             DriveEnd::Complete => "driven to its end".to_owned(),
-            DriveEnd::Collision(_, collision) => format!(
-                "vehicle {} hits vehicle {} at {:.2} s, {:.1} m/s",
-                collision.rear_vehicle,
-                collision.front_vehicle,
-                collision.time_s,
-                collision.impact_speed_mps
-            ),
+            DriveEnd::Collision(_, collision) => collision.to_string(),
             DriveEnd::NoAnswer(failed) => failed.reason(),
         }
     }

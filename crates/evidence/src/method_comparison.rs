@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use crumple_core::digits::{format_interval, format_or_hyphen};
 use crumple_core::observer::Observer;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignError, CampaignProgress, FirstFailure};
@@ -149,10 +150,10 @@ impl MethodRuns {
 
     fn table_row(&self) -> String {
         let share = format!("{}/{}", self.falsified, self.runs.len());
-        let [low, high] = self.interval.map(|share| 100.0 * share);
-        let interval = format!("{low:.1} to {high:.1} %");
+        let percent = self.interval.map(|share| 100.0 * share);
+        let interval = format!("{} %", format_interval(percent, 1));
         let [mean, median] = [self.mean_simulations, self.median_simulations]
-            .map(|number| number.map_or("-".to_owned(), |number| format!("{number:.1}")));
+            .map(|number| format_or_hyphen(number, 1));
         format!(
             "{:<20} {share:>10} {interval:>17} {mean:>10} {median:>10}\n",
             self.method

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crumple_core::digest::sha256;
+use crumple_core::field_error::FieldError;
 use crumple_measure::{DriveSeries, UsefulnessMeasures};
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_sim::scenario::{
@@ -43,14 +44,12 @@ pub enum DriveSetError {
         source: toml::ser::Error,
     },
     /// A scenario that is no recorded drive.
-    #[error("{}: {field}: {problem}", path.display())]
+    #[error("{}: {invalid}", path.display())]
     NoDrive {
         /// The file.
         path: PathBuf,
-        /// Path of the field.
-        field: String,
-        /// Problem of the field.
-        problem: DriveProblem,
+        /// Field and problem.
+        invalid: FieldError<DriveProblem>,
     },
 }
 
@@ -103,8 +102,7 @@ pub enum DriveProblem {
     },
 }
 
-/// A field and its problem.
-type FieldResult<T> = Result<T, (String, DriveProblem)>;
+type FieldResult<T> = Result<T, FieldError<DriveProblem>>;
 
 /// A drive of a folder.
 #[derive(Debug, Clone)]
@@ -160,11 +158,7 @@ impl RecordedDrive {
                 recorded: checked.recorded,
                 interval_s: checked.interval_s,
             }),
-            Err((field, problem)) => Err(DriveSetError::NoDrive {
-                path,
-                field,
-                problem,
-            }),
+            Err(invalid) => Err(DriveSetError::NoDrive { path, invalid }),
         }
     }
 
@@ -207,10 +201,10 @@ impl RecordedDrive {
 
     /// Returns the error that another file holds the same drive.
     pub(super) fn duplicate_of(&self, other: PathBuf) -> DriveSetError {
+        let field = format!("vehicles[{}].recorded", self.tested);
         DriveSetError::NoDrive {
             path: self.path.clone(),
-            field: format!("vehicles[{}].recorded", self.tested),
-            problem: DriveProblem::Duplicate { other },
+            invalid: FieldError::new(field, DriveProblem::Duplicate { other }),
         }
     }
 }
@@ -226,7 +220,7 @@ fn check(scenario: &Scenario) -> FieldResult<CheckedDrive> {
     let tested = find_tested(scenario)?;
     let leader = check_leader(scenario, tested - 1)?;
     let field = format!("vehicles[{tested}].recorded");
-    let missing = || (field.clone(), DriveProblem::NoMotion);
+    let missing = || FieldError::new(&field, DriveProblem::NoMotion);
     let vehicle = scenario.vehicles().get(tested).ok_or_else(missing)?;
     let motion = vehicle.recorded.as_deref().ok_or_else(missing)?;
     let series = DriveSeries::recorded(leader, motion);
@@ -251,7 +245,7 @@ fn check_start(values: &[f64], start: f64, unit: &'static str, field: String) ->
                 start,
                 unit,
             };
-            Err((field, problem))
+            Err(FieldError::new(field, problem))
         }
         _ => Ok(()),
     }
@@ -264,8 +258,8 @@ fn find_tested(scenario: &Scenario) -> FieldResult<usize> {
         .collect();
     match tested[..] {
         [tested] => Ok(tested),
-        _ => Err((
-            "vehicles".to_owned(),
+        _ => Err(FieldError::new(
+            "vehicles",
             DriveProblem::NotOneUnderTest {
                 found: tested.len(),
             },
@@ -281,7 +275,7 @@ fn check_leader(scenario: &Scenario, index: usize) -> FieldResult<&RecordedSpeed
         let problem = DriveProblem::Leader {
             found: driver.map_or("", Driver::name),
         };
-        return Err((field, problem));
+        return Err(FieldError::new(field, problem));
     };
     // Speeds that last longer than the drive do no harm.
     let last_s = speeds.time_s.last().copied().unwrap_or(0.0);
@@ -301,8 +295,8 @@ fn check_duration(
     let duration_s = scenario.spec().duration_s;
     match (recorded_s - duration_s).abs() <= interval_s + 1e-6 {
         true => Ok(()),
-        false => Err((
-            field.to_owned(),
+        false => Err(FieldError::new(
+            field,
             DriveProblem::Duration {
                 recorded_s,
                 duration_s,

@@ -1,7 +1,6 @@
 //! Avoidability of a collision.
 
-use crumple_core::digits::{format_fixed_down, format_fixed_up};
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, Escape, avoid};
+use crumple_search::worst_case::{AvoidOptions, AvoidReport, Escape, avoid};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
@@ -15,7 +14,7 @@ use crate::render::render_replay;
 pub(crate) struct AvoidabilityResponse {
     /// `avoidable`, `unavoidable` or `undecided`.
     verdict: &'static str,
-    sentences: Vec<String>,
+    statements: Vec<String>,
     /// Figure of the escape; empty if there is none.
     escape_figure: String,
 }
@@ -26,30 +25,15 @@ pub(crate) fn check_avoidability(
 ) -> Result<AvoidabilityResponse, RequestError> {
     let avoidance = avoid(scenario, AvoidOptions::default())
         .map_err(|error| RequestError::invalid("scenario", error))?;
-    let answer = match &avoidance.verdict {
-        AvoidanceVerdict::Avoidable(escape) => {
-            format!(
-                "Yes: this escape keeps {} m. A driver with knowledge of the future can drive like this.",
-                format_fixed_down(escape.min_gap_m, 2)
-            )
-        }
-        AvoidanceVerdict::Unavoidable(_) => {
-            "No: every driver collides. This is proved, and the checker has accepted the proof."
-                .to_owned()
-        }
-        AvoidanceVerdict::Undecided(reason) => format!("Undecided: {reason}"),
-    };
-    let bound = avoidance.min_gap_bound_m.map(|bound_m| {
-        format!(
-            "No driver keeps more than {} m. This is a computed bound without a certificate.",
-            format_fixed_up(bound_m, 2)
-        )
-    });
-    let sentences = [answer].into_iter().chain(bound).collect();
     let escape = avoidance.verdict.escape();
+    let mut statements = AvoidReport::new(scenario, &avoidance).main_statements();
+    if escape.is_some() {
+        statements
+            .push("a driver with knowledge of the future can drive like this escape".to_owned());
+    }
     Ok(AvoidabilityResponse {
         verdict: avoidance.verdict.class().name(),
-        sentences,
+        statements,
         escape_figure: escape
             .map_or(Ok(String::new()), |escape| render_escape(scenario, escape))?,
     })

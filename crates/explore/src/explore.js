@@ -419,8 +419,8 @@
       button.disabled = true;
       place.replaceChildren(element('p', {}, 'Searching for an escape …'));
       try {
-        const { sentences, escape_figure: escape, verdict } = await ask('avoid', request());
-        place.replaceChildren(...sentences.map((line) => element('p', {}, line)));
+        const { statements, escape_figure: escape, verdict } = await ask('avoid', request());
+        place.replaceChildren(...statements.map((line) => element('p', {}, line)));
         place.dataset.verdict = verdict;
         place.insertAdjacentHTML('beforeend', escape);
       } catch (error) {

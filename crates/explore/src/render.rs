@@ -129,13 +129,7 @@ fn render_panel(
 
 fn describe_outcome(scenario: &Scenario, run: &SimulationResult) -> String {
     match &run.outcome {
-        Outcome::Collision(collision) => format!(
-            "✗ Collision at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-            collision.time_s,
-            collision.rear_vehicle,
-            collision.front_vehicle,
-            collision.impact_speed_mps
-        ),
+        Outcome::Collision(collision) => format!("✗ Collision {collision}"),
         Outcome::ControllerFailed(failed) => format!("✗ Controller failed: {failed}"),
         Outcome::NoCollision => {
             let closest = run

@@ -15,6 +15,7 @@ use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use crumple_explore::{CatalogScenario, CatalogSuite, ExploreConfig, Server};
+use crumple_search::worst_case::{AvoidOptions, AvoidReport, avoid};
 use crumple_sim::control::BuiltInController;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::observation::EstimatorKind;
@@ -737,13 +738,26 @@ fn an_edited_scenario_has_the_same_collision_in_its_saved_file() {
 
 #[test]
 fn an_avoidable_collision_is_answered_with_an_escape() {
-    let body = json!({ "scenario": built_in_scenario("paper-1").unwrap().spec() });
+    let scenario = built_in_scenario("paper-1").unwrap();
+    let body = json!({ "scenario": scenario.spec() });
     let (status, answer) = post("avoid", body.to_string().as_bytes());
     assert_eq!(
         (status, &answer["verdict"]),
         (200, &json!("avoidable")),
         "{answer}"
     );
+    let shown: Vec<String> = serde_json::from_value(answer["statements"].clone()).unwrap();
+    let avoidance = avoid(&scenario, AvoidOptions::default()).unwrap();
+    let printed = AvoidReport::new(&scenario, &avoidance).to_text();
+    let (note, statements) = shown.split_last().unwrap();
+    assert_eq!(
+        note,
+        "a driver with knowledge of the future can drive like this escape"
+    );
+    assert!(statements.len() > 3, "{shown:?}");
+    for statement in statements {
+        assert!(printed.contains(statement), "{statement}\n{printed}");
+    }
     // A script drives the ego vehicle of an escape, which is still named so.
     let figure = answer["escape_figure"].as_str().unwrap();
     let texts = [

@@ -24,16 +24,14 @@ pub enum SuiteError {
     #[error(transparent)]
     File(#[from] FileError),
     /// A field is out of range or contradicts another field.
-    #[error("{}:{line}: {field}: {problem}", path.display())]
+    #[error("{}:{line}: {invalid}", path.display())]
     Invalid {
         /// File that was read.
         path: PathBuf,
         /// Line of the field, from 1.
         line: usize,
-        /// Path of the field, such as `clauses[0].tests[1].lead`.
-        field: String,
-        /// Problem of the field.
-        problem: Box<SuiteProblem>,
+        /// Field, such as `clauses[0].tests[1].lead`, and problem.
+        invalid: Box<InvalidSuite>,
     },
 }
 

@@ -69,14 +69,10 @@ impl TestSuite {
         use crumple_core::{old_names, text_file};
         let spec = text_file::parse_toml(text, path)?;
         old_names::SUITE.warn(text, path);
-        Self::new(spec).map_err(|InvalidSuite { field, problem }| {
-            let line = text_file::line_in_toml(text, &field);
-            SuiteError::Invalid {
-                path: path.to_owned(),
-                line,
-                field,
-                problem: problem.into(),
-            }
+        Self::new(spec).map_err(|invalid| SuiteError::Invalid {
+            path: path.to_owned(),
+            line: text_file::line_in_toml(text, &invalid.field),
+            invalid: invalid.into(),
         })
     }
 

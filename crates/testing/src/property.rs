@@ -367,11 +367,12 @@ fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &Run
                 |f| f.to_string(),
             )
         }
+        // In the words of `Collision`, whose further fields a verdict does not have.
         (None, Some(collision)) => format!(
-            "vehicle {} hits vehicle {} at {:.2} s with {:.1} m/s (robustness {robustness})",
+            "at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s (robustness {robustness})",
+            collision.time_s,
             collision.rear_vehicle,
             collision.front_vehicle,
-            collision.time_s,
             collision.impact_speed_mps
         ),
         (None, None) => format!("robustness {robustness}"),

@@ -59,6 +59,7 @@ mod volume;
 pub mod window;
 
 use crate::canonical::{is_sha256, sha256};
+use crate::number::round_down;
 use crate::rejection::Rejection;
 pub use activation::Activation;
 pub use claim::{PartitionCell, ReachClaim};
@@ -76,8 +77,9 @@ pub use ranges::{BoxDimension, InitialRanges};
 pub enum Undecided {
     /// A gap may close.
     #[error(
-        "the gap {} the ego vehicle may be as small as {gap_m:.3} m by step {step}",
-        if *pair == 0 { "ahead of" } else { "behind" }
+        "the gap {} the ego vehicle may be as small as {} m by step {step}",
+        if *pair == 0 { "ahead of" } else { "behind" },
+        round_down(*gap_m)
     )]
     MayCollide {
         /// 0 for the gap ahead, 1 for the one behind.

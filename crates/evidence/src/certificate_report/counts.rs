@@ -1,5 +1,6 @@
 //! Confirmation of the counts of a certificate.
 
+use crumple_core::digits::format_fixed_down;
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
 
 use crate::Confirmation;
@@ -61,10 +62,10 @@ fn summarize_sample(confirmation: &Confirmation, seed: u64) -> String {
     probabilities.dedup();
     let probabilities: Vec<String> = probabilities.into_iter().map(format_detection).collect();
     format!(
-        "confirmed by a sample: {blocks} of {total_blocks} blocks, {runs} of {total_runs} runs ({:.2} %), were \
+        "confirmed by a sample: {blocks} of {total_blocks} blocks, {runs} of {total_runs} runs ({} %), were \
          drawn and simulated again, and each has the stated result. If seed {seed} was chosen after the file \
          was fixed, the minimum probability of detection is, for {}",
-        (1e4 * *runs as f64 / *total_runs as f64).floor() / 1e2,
+        format_fixed_down(100.0 * *runs as f64 / *total_runs as f64, 2),
         probabilities.join(", ")
     )
 }
@@ -72,8 +73,8 @@ fn summarize_sample(confirmation: &Confirmation, seed: u64) -> String {
 fn format_detection((forged, probability): (u64, f64)) -> String {
     let runs = if forged == 1 { "run" } else { "runs" };
     format!(
-        "{forged} forged {runs}: {:.2} %",
-        (1e4 * probability).floor() / 1e2
+        "{forged} forged {runs}: {} %",
+        format_fixed_down(100.0 * probability, 2)
     )
 }
 

@@ -10,7 +10,7 @@ use super::{
     EpisodeSample, ExclusionCounts, FamilyFit, FittedFeature, FittedSize, FittedSpace, MIN_P_VALUE,
     PointFit, format_p_value,
 };
-use crumple_core::digits::format_rounded;
+use crumple_core::digits::{format_interval, format_rounded};
 use crumple_core::quoting::TerminalText;
 use crumple_spaces::DrivingExposure;
 
@@ -182,11 +182,8 @@ impl FittedSize {
             .values
             .iter()
             .map(|value| {
-                let [low, high] = value.interval_95;
-                format!(
-                    "{:.1} m in {:.4} ({low:.4} to {high:.4})",
-                    value.at, value.probability
-                )
+                let interval = format_interval(value.interval_95, 4);
+                format!("{:.1} m in {:.4} ({interval})", value.at, value.probability)
             })
             .collect();
         format!("{}: {}", self.name, values.join(", "))
@@ -235,10 +232,10 @@ impl FittedFeature {
     }
 
     fn write_point_mass(&self, point: &PointFit, out: &mut String) -> fmt::Result {
-        let [low, high] = point.interval_95;
+        let interval = format_interval(point.interval_95, 4);
         writeln!(
             out,
-            "  {}{} in {} of {}: probability {:.4} ({low:.4} to {high:.4}); the fit describes the other episodes",
+            "  {}{} in {} of {}: probability {:.4} ({interval}); the fit describes the other episodes",
             point.at,
             self.printed_unit(),
             point.count,
@@ -277,7 +274,7 @@ impl FamilyFit {
             self.parameter_names[index], self.estimates[index]
         );
         match self.intervals_95.map(|intervals| intervals[index]) {
-            Some([low, high]) => format!("{estimate} ({low:.4} to {high:.4})"),
+            Some(interval) => format!("{estimate} ({})", format_interval(interval, 4)),
             None => format!("{estimate} (no interval: the likelihood is flat, or at its limit)"),
         }
     }

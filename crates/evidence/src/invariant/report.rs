@@ -1,5 +1,6 @@
 //! Report of an invariant set, as text and as JSON.
 
+use crumple_core::digits::format_fixed_up;
 use crumple_verify::ProvedClaim;
 use serde::Serialize;
 
@@ -80,11 +81,11 @@ impl<'a> InvariantReport<'a> {
             None => "nothing was searched".to_owned(),
         };
         format!(
-            "{}\naccepted: {}\nat most {:.2} % are possible with these cells: from the other nodes, a leader that \
+            "{}\naccepted: {}\nat most {} % are possible with these cells: from the other nodes, a leader that \
              brakes, at once or after 1 s, defeats the controller in a simulation\noutside the set: {defeat}\n",
             self.scope,
             self.conclusion,
-            (1e4 * self.simulated_share).ceil() / 1e2
+            format_fixed_up(100.0 * self.simulated_share, 2)
         )
     }
 }

@@ -3,7 +3,9 @@
 use std::fmt::Write;
 
 use super::{Level, MAX_LEVELS, PILOT_FACTORS, RareEstimate, RareReport};
-use crumple_core::digits::{format_rounded, format_rounded_down, format_rounded_up};
+use crumple_core::digits::{
+    format_or_hyphen, format_rounded, format_rounded_down, format_rounded_up,
+};
 use crumple_core::quoting::TerminalText;
 
 impl RareReport {
@@ -68,8 +70,8 @@ impl RareReport {
                 self.format_margin(level),
                 format_rounded(level.probability, 4),
                 100.0 * level.share,
-                format_optional(level.step),
-                format_optional(level.acceptance)
+                format_or_hyphen(level.step, 2),
+                format_or_hyphen(level.acceptance, 2)
             )?;
         }
         if self.estimate.levels.len() == 1 && self.estimate.probability.is_some() {
@@ -168,8 +170,4 @@ impl RareEstimate {
             "  {extinct} of {all} repetitions died out and count as 0; more --samples would help"
         )
     }
-}
-
-fn format_optional(value: Option<f64>) -> String {
-    value.map_or("-".to_owned(), |value| format!("{value:.2}"))
 }

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::{RunReport, SpecificationResult, UnnecessaryBrakingReport};
 use crate::collision_role::CollisionRole;
 use crate::usefulness::BrakeInstant;
+use crumple_core::digits::format_or_hyphen;
 use crumple_core::quoting::TerminalText;
 use crumple_sim::engine::{Collision, Impact, Intervention, Outcome, VehicleSummary};
 use crumple_sim::scenario::{Driver, VehicleSpec};
@@ -180,8 +181,8 @@ impl RunReport<'_> {
     ) -> String {
         let class = vehicle.class.name();
         let driver = describe_driver(&vehicle.driver, self.controller);
-        let min_gap_m = two_decimals(summary.min_gap_m);
-        let min_ttc_s = two_decimals(summary.min_ttc_s);
+        let min_gap_m = format_or_hyphen(summary.min_gap_m, 2);
+        let min_ttc_s = format_or_hyphen(summary.min_ttc_s, 2);
         let max_brake_mps2 = summary.max_brake_mps2;
         let end = if summary.stopped {
             "standing"
@@ -199,7 +200,7 @@ impl RunReport<'_> {
         }
         if let Some(impact) = self.impacts.first() {
             let blame = self.describe_blame(&impact.collision);
-            return format!("COLLISION {}{blame}", describe_collision(&impact.collision));
+            return format!("COLLISION {}{blame}", impact.collision);
         }
         let gaps_m = self.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         match gaps_m.reduce(f64::min) {
@@ -235,23 +236,11 @@ impl SpecificationResult {
     }
 }
 
-fn describe_collision(collision: &Collision) -> String {
-    format!(
-        "at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
-        collision.time_s,
-        collision.rear_vehicle,
-        collision.front_vehicle,
-        collision.impact_speed_mps
-    )
-}
-
 fn describe_impact(impact: &Impact) -> String {
     let collision = &impact.collision;
     format!(
-        "{} ({:.1} against {:.1} m/s)",
-        describe_collision(collision),
-        collision.rear_speed_mps,
-        collision.front_speed_mps
+        "{collision} ({:.1} against {:.1} m/s)",
+        collision.rear_speed_mps, collision.front_speed_mps
     )
 }
 
@@ -266,10 +255,6 @@ fn describe_driver(driver: &Driver, controller: &str) -> String {
             .to_string_lossy()
             .into_owned(),
     }
-}
-
-fn two_decimals(value: Option<f64>) -> String {
-    value.map_or("-".to_owned(), |value| format!("{value:.2}"))
 }
 
 /// Summarises the interventions of a vehicle's shield in one line, with a text for those outside its guarantee; `None`

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::gather_context::GatherContext;
 use super::{CacheError, CaseResult, Rounded};
-use crumple_core::digits::{format_fixed, format_fixed_down, format_fixed_up};
+use crumple_core::digits::format_fixed_down;
 use crumple_search::worst_case::{
     AvoidOptions, AvoidReport, AvoidanceClass, AvoidanceVerdict, avoid, covers_scenario,
 };
@@ -87,45 +87,6 @@ pub(super) fn regret_m(report: &AvoidReport, case: &CaseResult) -> Option<Rounde
     let escape_m = Rounded::<2>::down(report.escape_min_gap_m?);
     let regret_m = escape_m.value() - case.min_gap_m?.value();
     Some(Rounded::new(regret_m.max(0.0)))
-}
-
-/// Describes an analysis in a paragraph.
-pub(super) fn describe_avoidance(report: &AvoidReport) -> String {
-    match (report.verdict, report.escape_min_gap_m) {
-        (AvoidanceClass::Avoidable, Some(gap_m)) => describe_escape(report, gap_m),
-        (AvoidanceClass::Unavoidable, _) => {
-            "Unavoidable: every driver collides; the checker has accepted the proof.".to_owned()
-        }
-        (AvoidanceClass::Avoidable | AvoidanceClass::Undecided, _) => format!(
-            "Undecided if a driver could avoid the collision: {}.",
-            describe_reason(report)
-        ),
-    }
-}
-
-fn describe_escape(report: &AvoidReport, gap_m: f64) -> String {
-    let fires = report.trigger_time_s.map(|time_s| {
-        let time = format_fixed(time_s, 2);
-        format!("; the follower's emergency brake fires at {time} s")
-    });
-    let bound = report.min_gap_bound_m.map(|bound_m| {
-        let bound = format_fixed_up(bound_m, 2);
-        format!(
-            "; no driver keeps more than {bound} m ({})",
-            report.bound_proof()
-        )
-    });
-    let replay = match report.escape_survives_multi_body {
-        None => "",
-        Some(true) => " With the multi-body plant, this escape has no collision either.",
-        Some(false) => " With the multi-body plant, this escape collides.",
-    };
-    format!(
-        "Avoidable: smallest gap of the best escape found {} m{}{}.{replay}",
-        format_fixed_down(gap_m, 2),
-        fires.unwrap_or_default(),
-        bound.unwrap_or_default()
-    )
 }
 
 /// Describes an analysis in a cell of a table.

@@ -9,6 +9,7 @@ use super::gate::GateConfig;
 use super::gate_rules::gate_comments;
 use super::planned_suite::SuiteConfig;
 use crumple_controllers::Controllers;
+use crumple_core::field_error::FieldError;
 use crumple_core::text_file::FileError;
 use crumple_evidence::drives::DriveSetError;
 use crumple_sim::engine::AfterCollision;
@@ -332,15 +333,13 @@ pub enum AssessConfigError {
     #[error("drives: {0}")]
     Drives(#[from] DriveSetError),
     /// A field is out of range.
-    #[error("{}:{line}: {field}: {problem}", path.display())]
+    #[error("{}:{line}: {invalid}", path.display())]
     Field {
         /// Configuration file.
         path: PathBuf,
         /// Line of the field, from 1.
         line: usize,
-        /// Path of the field.
-        field: String,
-        /// Description of the problem.
-        problem: String,
+        /// Field and problem.
+        invalid: FieldError,
     },
 }

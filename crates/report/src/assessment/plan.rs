@@ -19,6 +19,7 @@ use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_controllers::{find_and_try, find_for_user};
 use crumple_core::digest::sha256;
+use crumple_core::field_error::FieldError;
 use crumple_core::format_version::check_version;
 use crumple_core::{old_names, regular_file, text_file};
 use crumple_evidence::drives::{DriveSet, DriveSetError};
@@ -398,11 +399,14 @@ struct PlanLoader<'a> {
 
 impl PlanLoader<'_> {
     fn field_error(&self, field: &str, problem: String) -> AssessConfigError {
+        self.locate(FieldError::new(field, problem))
+    }
+
+    fn locate(&self, invalid: FieldError) -> AssessConfigError {
         AssessConfigError::Field {
             path: self.path.to_owned(),
-            line: text_file::line_in_toml(self.text, field),
-            field: field.to_owned(),
-            problem,
+            line: text_file::line_in_toml(self.text, &invalid.field),
+            invalid,
         }
     }
 
@@ -435,7 +439,7 @@ impl PlanLoader<'_> {
         let suites = PlannedSuite::from_config(&mut config, folder, &controllers, |name| {
             self.find_controller(&controllers, name)
         })
-        .map_err(|(field, problem)| self.field_error(&field, problem))?;
+        .map_err(|invalid| self.locate(invalid))?;
         self.check_gates(&mut config, &controllers)?;
         let recordings = self.import_recordings(&config)?;
         let file_scenarios = self.load_scenarios(&config, recordings.scenarios)?;
@@ -501,8 +505,8 @@ impl PlanLoader<'_> {
             }
         }
         for (index, gate) in config.gates.iter().enumerate() {
-            if let Some((field, problem)) = gate.gate.config_problem(config) {
-                return Err(self.field_error(&format!("gates[{index}].{field}"), problem));
+            if let Some(problem) = gate.gate.config_problem(config) {
+                return Err(self.locate(problem.within(&format!("gates[{index}]."))));
             }
         }
         Ok(())

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::AssessConfig;
 use super::claims::ContentId;
 use super::plan::not_among_controllers;
+use crumple_core::field_error::FieldError;
 use crumple_sim::engine::NamedController;
 use crumple_suites::{SHIPPED_SUITES, TestSuite};
 
@@ -40,28 +41,28 @@ pub(super) struct PlannedSuite {
 }
 
 impl PlannedSuite {
-    /// Loads the suites of a configuration; an error is a field and its problem. `find_controller` returns the
+    /// Loads the suites of a configuration. `find_controller` returns the
     /// index of a controller and makes its name canonical.
     pub(super) fn from_config(
         config: &mut AssessConfig,
         folder: &Path,
         controllers: &[NamedController],
         find_controller: impl Fn(&mut String) -> Option<usize>,
-    ) -> Result<Vec<Self>, (String, String)> {
+    ) -> Result<Vec<Self>, FieldError> {
         let count = config.suites.len();
         if count > MAX_SUITES {
             let problem = format!("must be at most {MAX_SUITES}, found {count}");
-            return Err(("suites".to_owned(), problem));
+            return Err(FieldError::new("suites", problem));
         }
         let mut planned: Vec<Self> = Vec::new();
         for (index, suite_config) in config.suites.iter_mut().enumerate() {
             let field = format!("suites[{index}].suite");
             let suite = find_suite(&suite_config.suite, folder)
-                .map_err(|problem| (field.clone(), problem))?;
+                .map_err(|problem| FieldError::new(&field, problem))?;
             let name = suite.spec().name.clone();
             if planned.iter().any(|other| other.suite.spec().name == name) {
                 let problem = format!("another suite has the name `{name}`; rename one of them");
-                return Err((field, problem));
+                return Err(FieldError::new(field, problem));
             }
             let controller_indices = match &mut suite_config.controllers {
                 None => (0..controllers.len()).collect(),
@@ -70,8 +71,8 @@ impl PlannedSuite {
                     find_controllers(names, &field, &find_controller)?
                 }
             };
-            let text =
-                serde_json::to_string(suite.spec()).map_err(|error| (field, error.to_string()))?;
+            let text = serde_json::to_string(suite.spec())
+                .map_err(|error| FieldError::new(field, error.to_string()))?;
             planned.push(Self {
                 config_name: suite_config.suite.clone(),
                 suite,
@@ -98,21 +99,20 @@ impl PlannedSuite {
     }
 }
 
-/// Returns the sorted indices of named controllers, each once; an error is a field and its problem.
+/// Returns the sorted indices of named controllers, each once.
 fn find_controllers(
     names: &mut [String],
     field: &str,
     find_controller: &impl Fn(&mut String) -> Option<usize>,
-) -> Result<Vec<usize>, (String, String)> {
+) -> Result<Vec<usize>, FieldError> {
     if names.is_empty() {
-        let problem = "must name at least one controller".to_owned();
-        return Err((field.to_owned(), problem));
+        return Err(FieldError::new(field, "must name at least one controller"));
     }
     let mut indices = Vec::new();
     for (position, name) in names.iter_mut().enumerate() {
         let index = find_controller(name).ok_or_else(|| {
             let field = format!("{field}[{position}]");
-            (field, not_among_controllers(name))
+            FieldError::new(field, not_among_controllers(name))
         })?;
         indices.push(index);
     }

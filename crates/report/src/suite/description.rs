@@ -1,5 +1,6 @@
 //! Descriptions of the results of a suite.
 
+use crumple_core::digits::{format_fixed_down, format_fixed_up};
 use crumple_suites::{
     ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Origin, Prevention,
     SweepFailure, TestParameter, TestParameters, TestVerdict, WarningOrigin, WorstInTolerance,
@@ -254,8 +255,8 @@ fn describe_margin_end(margin: &Margin) -> String {
                 3
             };
             let fails = describe_sweep_failure(failure);
-            let boundary =
-                format!("passes at {passes_at:.digits$}, {fails} at {fails_at:.digits$} {unit}");
+            let [passes, no_longer] = format_boundary(passes_at, fails_at, digits);
+            let boundary = format!("passes at {passes}, {fails} at {no_longer} {unit}");
             if is_monotone {
                 return boundary;
             }
@@ -263,6 +264,22 @@ fn describe_margin_end(margin: &Margin) -> String {
                 "{boundary}: the first boundary on {parts} parts to {to} {unit}; the test passes again beyond"
             )
         }
+    }
+}
+
+/// Returns the last value that passes and the first that does not, rounded away from each other: the boundary lies
+/// between the rounded values too.
+pub(super) fn format_boundary(passes_at: f64, fails_at: f64, decimals: usize) -> [String; 2] {
+    if passes_at < fails_at {
+        [
+            format_fixed_down(passes_at, decimals),
+            format_fixed_up(fails_at, decimals),
+        ]
+    } else {
+        [
+            format_fixed_up(passes_at, decimals),
+            format_fixed_down(fails_at, decimals),
+        ]
     }
 }
 
@@ -295,5 +312,17 @@ pub(super) fn describe_prevention(prevention: Prevention) -> &'static str {
         Prevention::Prevents => "prevents it",
         Prevention::Collides => "collides",
         Prevention::DoesNotReact => "does not react",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ends_of_a_boundary_are_rounded_away_from_each_other() {
+        assert_eq!(format_boundary(75.0117, 75.0634, 3), ["75.011", "75.064"]);
+        assert_eq!(format_boundary(0.9989, 0.9951, 3), ["0.999", "0.995"]);
+        assert_eq!(format_boundary(120.906, 120.955, 2), ["120.90", "120.96"]);
     }
 }

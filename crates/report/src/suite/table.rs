@@ -1,6 +1,6 @@
 //! Results of several suites with the same controllers, as one Markdown table.
 
-use super::description::min_margins;
+use super::description::{format_boundary, min_margins};
 use crumple_core::markdown::Markdown;
 use crumple_suites::{
     ControllerResult, DISCLAIMER, Margin, MarginEnd, SuiteResult, TestVerdict, WarningOrigin,
@@ -107,19 +107,24 @@ fn format_cell(tested: &ControllerResult) -> String {
     let margin = min_margins(&tested.margins)
         .first()
         .map_or_else(String::new, |least| {
-            let Margin {
-                parameter,
-                unit,
-                to,
-                end,
-                ..
-            } = least.margin;
-            let end = match end {
-                MarginEnd::None { .. } => "not at all".to_owned(),
-                MarginEnd::Holds { .. } => format!("to {to} {unit}"),
-                MarginEnd::Boundary { passes_at, .. } => format!("to {passes_at:.2} {unit}"),
-            };
-            format!(", {} {end}", parameter.label())
+            let end = describe_margin_end(least.margin);
+            format!(", {} {end}", least.margin.parameter.label())
         });
     format!("✓ {points}{margin}")
+}
+
+fn describe_margin_end(margin: &Margin) -> String {
+    let Margin { unit, to, .. } = margin;
+    match margin.end {
+        MarginEnd::None { .. } => "not at all".to_owned(),
+        MarginEnd::Holds { .. } => format!("to {to} {unit}"),
+        MarginEnd::Boundary {
+            passes_at,
+            fails_at,
+            ..
+        } => {
+            let [passes, _] = format_boundary(passes_at, fails_at, 2);
+            format!("to {passes} {unit}")
+        }
+    }
 }

@@ -118,13 +118,7 @@ impl AttackReport {
             Some(Outcome::ControllerFailed(failed)) => {
                 format!("  CONTROLLER FAILED and gave no valid command: {failed}\n")
             }
-            Some(Outcome::Collision(collision)) => format!(
-                "  COLLISION at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s\n",
-                collision.time_s,
-                collision.rear_vehicle,
-                collision.front_vehicle,
-                collision.impact_speed_mps
-            ),
+            Some(Outcome::Collision(collision)) => format!("  COLLISION {collision}\n"),
             Some(Outcome::NoCollision) | None => String::new(),
         }
     }

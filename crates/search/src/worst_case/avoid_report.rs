@@ -102,6 +102,7 @@ impl AvoidReport {
             self.verdict.name()
         );
         let lines = [
+            self.unavoidable_line(),
             self.gap_line(),
             self.bound_line(),
             self.emergency_brake_line(),
@@ -118,6 +119,27 @@ impl AvoidReport {
         heading + &indented.collect::<String>()
     }
 
+    /// Returns the verdict and what supports it, without the effort of the escape and of the search.
+    #[must_use]
+    pub fn main_statements(&self) -> Vec<String> {
+        let statements = [
+            Some(self.verdict.name().to_owned()),
+            self.unavoidable_line(),
+            self.gap_line(),
+            self.bound_line(),
+            self.emergency_brake_line(),
+            self.multi_body_line(),
+            self.reason.as_ref().map(ToString::to_string),
+        ];
+        statements.into_iter().flatten().collect()
+    }
+
+    fn unavoidable_line(&self) -> Option<String> {
+        let is_unavoidable = self.verdict == AvoidanceClass::Unavoidable;
+        is_unavoidable
+            .then(|| "every driver collides; the checker has accepted the proof".to_owned())
+    }
+
     fn gap_line(&self) -> Option<String> {
         let gap = format_fixed_down(self.escape_min_gap_m?, 2);
         let optimality = match self.optimality? {
@@ -128,18 +150,12 @@ impl AvoidReport {
         Some(format!("smallest gap of the escape {gap} m, {optimality}"))
     }
 
-    /// States how the bound of the gap was obtained.
-    #[must_use]
-    pub fn bound_proof(&self) -> &'static str {
-        match self.min_gap_bound_is_certified {
-            true => "proved",
-            false => "computed, without a certificate",
-        }
-    }
-
     fn bound_line(&self) -> Option<String> {
         let bound = format_fixed_up(self.min_gap_bound_m?, 2);
-        let proof = self.bound_proof();
+        let proof = match self.min_gap_bound_is_certified {
+            true => "proved",
+            false => "computed, without a certificate",
+        };
         Some(format!("no driver keeps more than {bound} m, {proof}"))
     }
 
@@ -237,7 +253,13 @@ mod tests {
             .unwrap();
         let avoidance = avoid(&unavoidable, options).unwrap();
         let report = AvoidReport::new(&unavoidable, &avoidance);
-        assert_eq!(report.verdict, AvoidanceClass::Unavoidable, "{report:?}");
+        assert_eq!(
+            report.main_statements(),
+            [
+                "unavoidable",
+                "every driver collides; the checker has accepted the proof"
+            ]
+        );
         assert_read_back(&report);
     }
 

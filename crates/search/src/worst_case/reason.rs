@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use crumple_core::digits::{format_fixed_down, format_fixed_up};
 use serde::{Deserialize, Serialize};
 
 /// Reason why neither an escape nor a proof was found.
@@ -96,14 +97,16 @@ pub enum UndecidedReason {
 }
 
 fn describe_undecided_gap(low_m: Option<f64>, high_m: f64) -> String {
+    let high = format_fixed_up(high_m, 6);
     if let Some(low_m) = low_m {
+        let low = format_fixed_down(low_m, 6);
         format!(
-            "the largest possible smallest gap lies between {low_m:.6} and {high_m:.6} m, which neither shows nor \
+            "the largest possible smallest gap lies between {low} and {high} m, which neither shows nor \
              excludes an escape"
         )
     } else {
         format!(
-            "no escape was found, and the proof shows only that no controller keeps more than {high_m:.6} m"
+            "no escape was found, and the proof shows only that no controller keeps more than {high} m"
         )
     }
 }

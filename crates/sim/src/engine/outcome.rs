@@ -149,6 +149,23 @@ pub struct Collision {
     pub impact_speed_mps: f64,
 }
 
+/// Writes `at 5.50 s: vehicle 2 hits vehicle 1 at 10.1 m/s`, the text of all results.
+impl fmt::Display for Collision {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            time_s,
+            front_vehicle,
+            rear_vehicle,
+            impact_speed_mps,
+            ..
+        } = self;
+        write!(
+            out,
+            "at {time_s:.2} s: vehicle {rear_vehicle} hits vehicle {front_vehicle} at {impact_speed_mps:.1} m/s"
+        )
+    }
+}
+
 /// A collision and its effect: a perfectly inelastic impact between two vehicles and all vehicles locked to them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

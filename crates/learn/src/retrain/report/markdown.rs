@@ -12,7 +12,7 @@ use super::super::search::RoundFindings;
 use super::super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes};
 use super::{FileHash, RetrainingEnding, RetrainingReport};
 use crate::rl::TrafficUsefulness;
-use crumple_core::digits::format_rounded;
+use crumple_core::digits::{format_fixed_down, format_rounded};
 use crumple_core::markdown::Markdown;
 use crumple_core::quoting::MarkdownCode;
 use crumple_evidence::DiscordantPairs;
@@ -167,7 +167,8 @@ impl RetrainingReport {
         if let Some(factor) = self.min_improvement_factor().filter(|&factor| factor > 1.0) {
             writeln!(
                 out,
-                "Collisions are at least {factor:.2} times rarer, at a confidence level of 95 %."
+                "Collisions are at least {} times rarer, at a confidence level of 95 %.",
+                format_fixed_down(factor, 2)
             )?;
         }
         Ok(())

@@ -1,11 +1,12 @@
 //! Gates on collisions in scenarios of the paper, of files, and of a space.
 
-use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict, is_in_space, require};
+use super::{GateInputs, GateMetric, GateRule, GateVerdict, is_in_space, require};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Domain, Property};
 use crate::assessment::config::{EVERYDAY_SPACES, FOLLOWER_SPACES};
 use crate::assessment::parts::{FILE_SCENARIOS_ANCHOR, PAPER_ANCHOR};
 use crate::assessment::{AssessConfig, RunEnds, ScenarioCases};
+use crumple_core::field_error::FieldError;
 
 pub(super) fn in_paper_scenarios<'a>(config: &AssessConfig, controller: &'a str) -> GateRule<'a> {
     GateRule::new(
@@ -165,13 +166,13 @@ fn describe_ends(ends: &RunEnds, scenarios: u64) -> String {
     reason
 }
 
-fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
+fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<FieldError> {
     let is_drawn = config.rate_spaces().iter().any(|name| name == space);
     let is_driven = EVERYDAY_SPACES.contains(&space) || FOLLOWER_SPACES.contains(&space);
     match (is_drawn && config.draws > 0) || (is_driven && config.everyday_draws > 0) {
         true => None,
-        false if is_drawn => Some(("require", "needs `draws` above 0".to_owned())),
-        false if is_driven => Some((
+        false if is_drawn => Some(FieldError::new("require", "needs `draws` above 0")),
+        false if is_driven => Some(FieldError::new(
             "require",
             format!("needs `everyday_draws` above 0, or `{space}` in `distributions`"),
         )),
@@ -182,7 +183,7 @@ fn simulated_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigP
                 .map(|name| format!("`{name}`"))
                 .collect();
             let driven = driven.join(", ");
-            Some((
+            Some(FieldError::new(
                 "space",
                 format!("`{space}` is neither among `distributions` nor one of {driven}"),
             ))

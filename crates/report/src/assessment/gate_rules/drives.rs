@@ -1,12 +1,13 @@
 //! Gates on drives in everyday traffic, and on lines of vehicles.
 
 use super::{
-    ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space,
-    require, share_problem,
+    GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space, require,
+    share_problem,
 };
 use crate::assessment::AssessConfig;
 use crate::assessment::claims::{AssuranceClaim, Domain, MAX_GAIN, Property};
 use crate::assessment::config::{EVERYDAY_SPACE, TRAFFIC_SPACE};
+use crumple_core::field_error::FieldError;
 use crumple_evidence::RateInterval;
 use crumple_sim::engine::FailedControllerRuns;
 
@@ -56,12 +57,12 @@ fn drives_space(space: &Option<String>) -> &str {
     space.as_deref().unwrap_or(TRAFFIC_SPACE)
 }
 
-fn space_problem(config: &AssessConfig, space: &str) -> Option<ConfigProblem> {
+fn space_problem(config: &AssessConfig, space: &str) -> Option<FieldError> {
     if [TRAFFIC_SPACE, EVERYDAY_SPACE].contains(&space) {
         return drives_problem(config);
     }
     let problem = format!("must be `{TRAFFIC_SPACE}` or `{EVERYDAY_SPACE}`, found `{space}`");
-    Some(("space", problem))
+    Some(FieldError::new("space", problem))
 }
 
 fn is_about(claim: &AssuranceClaim, property: Property, space: &str) -> bool {
@@ -79,7 +80,7 @@ pub(super) fn string_stable<'a>(config: &AssessConfig, controller: &'a str) -> G
     .about(|_, claim| claim.property == Property::NoGrowingOscillation)
 }
 
-fn drives_problem(config: &AssessConfig) -> Option<ConfigProblem> {
+fn drives_problem(config: &AssessConfig) -> Option<FieldError> {
     require(config.everyday_draws > 0, "`everyday_draws` above 0")
 }
 

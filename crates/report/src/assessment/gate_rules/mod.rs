@@ -20,6 +20,7 @@ use super::gate::GateConfig;
 use super::{
     AssessConfig, AssessmentComparison, AssessmentPlan, ClaimRow, GatheredResults, Ledger,
 };
+use crumple_core::field_error::FieldError;
 use crumple_core::quoting::TerminalText;
 use indicator::GateMetric;
 pub use indicator::{IndicatorInterval, SafetyIndicator};
@@ -219,7 +220,8 @@ struct GateRule<'a> {
     /// Condition in words.
     condition: String,
     metric: GateMetric,
-    problem: Option<ConfigProblem>,
+    /// Field and problem that prevent any assessment of the configuration from evaluating the gate.
+    problem: Option<FieldError>,
     verdict: Box<dyn Fn(&GateInputs<'_>) -> GateVerdict + 'a>,
     /// True for the claim that a gate with the spaces' own names is about.
     is_about: Box<ClaimTest<'a>>,
@@ -227,9 +229,6 @@ struct GateRule<'a> {
 
 /// Tells whether a gate is about a claim.
 type ClaimTest<'a> = dyn Fn(&ClaimRow, &AssuranceClaim) -> bool + 'a;
-
-/// A field of a gate, and the problem that prevents any assessment of the configuration from evaluating it.
-type ConfigProblem = (&'static str, String);
 
 /// The results that gates evaluate.
 pub(super) struct GateInputs<'a> {
@@ -268,7 +267,7 @@ pub struct GateResult {
 
 impl AssessmentGate {
     /// Returns the field, and the problem, that prevents any assessment of this configuration from evaluating the gate.
-    pub(super) fn config_problem(&self, config: &AssessConfig) -> Option<ConfigProblem> {
+    pub(super) fn config_problem(&self, config: &AssessConfig) -> Option<FieldError> {
         self.rule(config).problem
     }
 
@@ -324,7 +323,7 @@ impl<'a> GateRule<'a> {
     fn new(
         condition: String,
         metric: GateMetric,
-        problem: Option<ConfigProblem>,
+        problem: Option<FieldError>,
         verdict: impl Fn(&GateInputs<'_>) -> GateVerdict + 'a,
     ) -> Self {
         Self {
@@ -394,13 +393,14 @@ impl GateResult {
 }
 
 /// Returns the problem that a gate needs another setting, unless it `has` it.
-fn require(has: bool, setting: &str) -> Option<ConfigProblem> {
-    (!has).then(|| ("require", format!("needs {setting}")))
+fn require(has: bool, setting: &str) -> Option<FieldError> {
+    (!has).then(|| FieldError::new("require", format!("needs {setting}")))
 }
 
-fn share_problem(percent: f64) -> Option<ConfigProblem> {
+fn share_problem(percent: f64) -> Option<FieldError> {
     let is_share = (0.0..=100.0).contains(&percent);
-    (!is_share).then(|| ("percent", format!("must be from 0 to 100, found {percent}")))
+    (!is_share)
+        .then(|| FieldError::new("percent", format!("must be from 0 to 100, found {percent}")))
 }
 
 /// True for a claim about random scenarios of a space, or about the whole space.

@@ -1,11 +1,12 @@
 //! Gates on failure rates.
 
 use super::{
-    ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space,
-    require, share_problem,
+    GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space, require,
+    share_problem,
 };
 use crate::assessment::claims::{AssuranceClaim, Domain, Property, RateBounds, Strength};
 use crate::assessment::{AssessConfig, ControllerSample, Rounded, SpaceSample};
+use crumple_core::field_error::FieldError;
 
 pub(super) fn at_most<'a>(
     config: &AssessConfig,
@@ -50,9 +51,9 @@ pub(super) fn not_above<'a>(
     })
 }
 
-fn itself_problem(controller: &str, than: &str) -> Option<ConfigProblem> {
+fn itself_problem(controller: &str, than: &str) -> Option<FieldError> {
     let problem = "is the controller itself: name another one";
-    (controller == than).then(|| ("than", problem.to_owned()))
+    (controller == than).then(|| FieldError::new("than", problem))
 }
 
 /// Returns the space that a gate names, or else the first one of `distributions`.
@@ -63,16 +64,17 @@ fn named_or_only(space: &Option<String>, config: &AssessConfig) -> String {
         .unwrap_or_default()
 }
 
-fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<ConfigProblem> {
+fn space_problem(space: &Option<String>, config: &AssessConfig) -> Option<FieldError> {
     let spaces = config.rate_spaces();
     match space {
-        _ if spaces.is_empty() => Some(("require", "needs `distributions`".to_owned())),
-        Some(space) if !spaces.contains(space) => {
-            Some(("space", format!("`{space}` is not among `distributions`")))
-        }
-        None if spaces.len() > 1 => Some((
+        _ if spaces.is_empty() => Some(FieldError::new("require", "needs `distributions`")),
+        Some(space) if !spaces.contains(space) => Some(FieldError::new(
             "space",
-            "must be named, because there are several `distributions`".to_owned(),
+            format!("`{space}` is not among `distributions`"),
+        )),
+        None if spaces.len() > 1 => Some(FieldError::new(
+            "space",
+            "must be named, because there are several `distributions`",
         )),
         _ => None,
     }

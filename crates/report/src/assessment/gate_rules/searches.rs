@@ -1,8 +1,9 @@
 //! Gates on searches for failures.
 
-use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict};
+use super::{GateInputs, GateMetric, GateRule, GateVerdict};
 use crate::assessment::claims::Domain;
 use crate::assessment::{AssessConfig, FailureSearch};
+use crumple_core::field_error::FieldError;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
 pub(super) fn no_avoidable_failure<'a>(
@@ -21,9 +22,10 @@ pub(super) fn no_avoidable_failure<'a>(
     })
 }
 
-fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<ConfigProblem> {
+fn searched_space_problem(space: &str, config: &AssessConfig) -> Option<FieldError> {
     let is_searched = config.search_spaces().iter().any(|name| name == space);
-    (!is_searched).then(|| ("space", format!("`{space}` is not among `search.spaces`")))
+    (!is_searched)
+        .then(|| FieldError::new("space", format!("`{space}` is not among `search.spaces`")))
 }
 
 fn check_no_avoidable_failure(

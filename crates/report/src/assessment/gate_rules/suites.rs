@@ -1,8 +1,9 @@
 //! Gates on suites of tests.
 
-use super::{ConfigProblem, GateInputs, GateMetric, GateRule, GateVerdict};
+use super::{GateInputs, GateMetric, GateRule, GateVerdict};
 use crate::assessment::claims::{Domain, Property};
 use crate::assessment::{AssessConfig, SuiteOutcome};
+use crumple_core::field_error::FieldError;
 use crumple_sim::engine::FailedControllerRuns;
 
 pub(super) fn passed<'a>(
@@ -22,16 +23,19 @@ pub(super) fn passed<'a>(
     })
 }
 
-fn suite_problem(config: &AssessConfig, controller: &str, suite: &str) -> Option<ConfigProblem> {
+fn suite_problem(config: &AssessConfig, controller: &str, suite: &str) -> Option<FieldError> {
     let Some(named) = config.suites.iter().find(|named| named.suite == suite) else {
-        return Some(("suite", format!("`{suite}` is not among `suites`")));
+        return Some(FieldError::new(
+            "suite",
+            format!("`{suite}` is not among `suites`"),
+        ));
     };
     let is_tested = named
         .controllers
         .as_ref()
         .is_none_or(|tested| tested.iter().any(|name| name == controller));
     (!is_tested).then(|| {
-        (
+        FieldError::new(
             "controller",
             format!("`{controller}` is not tested by suite `{suite}`"),
         )

@@ -176,10 +176,7 @@ fn describe_share(share: Option<ReplayShare>) -> ReportCell {
              count,
              replays,
              interval,
-         }| {
-            let [low, high] = [interval.lower, interval.upper].map(|share| 100.0 * share);
-            format!("{count} of {replays} ({low:.0} to {high:.0} %)")
-        },
+         }| { format!("{count} of {replays} ({} %)", interval.to_percent_text(0)) },
     ))
 }
 

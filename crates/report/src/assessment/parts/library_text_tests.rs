@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use super::rate_certificates::COUNT_SEED_MASK;
 use super::*;
@@ -68,6 +69,25 @@ fn section(report: &AssessmentReport, title: &str) -> String {
     let rest = &markdown[begin + 3..];
     let end = rest.find("\n## ").unwrap_or(rest.len());
     rest[..end].to_owned()
+}
+
+fn subsection<'a>(section: &'a str, title: &str) -> &'a str {
+    let begin = section.find(&format!("### {title}\n")).expect(title);
+    let rest = &section[begin..];
+    let end = rest[4..].find("\n### ");
+    &rest[..end.map_or(rest.len(), |end| end + 4)]
+}
+
+/// Returns a report about two controllers in the paper's scenarios.
+fn paper_report() -> &'static AssessmentReport {
+    static REPORT: OnceLock<AssessmentReport> = OnceLock::new();
+    REPORT.get_or_init(|| {
+        let config = AssessConfig {
+            paper: true,
+            ..nothing(&["baseline", "idm"])
+        };
+        report(config, Path::new(""))
+    })
 }
 
 /// Returns the cells of the rows about a controller, without their marks.
@@ -142,12 +162,8 @@ fn recorded_drives_are_those_of_the_drive_report() {
 
 #[test]
 fn escapes_and_certificates_are_those_of_avoid_and_check() {
-    let config = AssessConfig {
-        paper: true,
-        ..nothing(&["idm"])
-    };
-    let report = report(config, Path::new(""));
-    let paper = section(&report, "The paper's scenarios");
+    let report = paper_report();
+    let paper = section(report, "The paper's scenarios");
     let scenarios = &report.results.paper_scenarios.as_ref().unwrap().scenarios;
     for cases in scenarios {
         let scenario = built_in_scenario(&cases.scenario).unwrap();
@@ -156,34 +172,17 @@ fn escapes_and_certificates_are_those_of_avoid_and_check() {
             ..AvoidOptions::default()
         };
         let avoidance = avoid(&scenario, options).unwrap();
-        let text = AvoidReport::new(&scenario, &avoidance).to_text();
-        let begin = paper.find(&format!("### {}\n", cases.scenario)).unwrap();
-        let own = &paper[begin..];
-        let own = &own[..own[4..].find("\n### ").map_or(own.len(), |end| end + 4)];
-        let mut compared = 0;
-        for (printed, reported) in [
-            (
-                "smallest gap of the escape ",
-                "smallest gap of the best escape found ",
-            ),
-            ("no driver keeps more than ", "no driver keeps more than "),
-            (
-                "the follower's emergency brake fires at ",
-                "the follower's emergency brake fires at ",
-            ),
-        ] {
-            for line in text
-                .lines()
-                .filter_map(|line| line.trim().strip_prefix(printed))
-            {
-                let quantity = line.split(',').next().unwrap_or_default();
-                assert_states(own, &format!("{reported}{quantity}"));
-                compared += 1;
-            }
+        let expected = AvoidReport::new(&scenario, &avoidance);
+        let own = subsection(&paper, &cases.scenario);
+        let statements = expected.main_statements();
+        assert!(statements.len() > 3, "{statements:?}");
+        for statement in &statements {
+            assert_states(&expected.to_text(), statement);
+            assert_states(own, statement);
         }
-        assert!(compared >= 2, "{text}");
+        assert_states(own, &format!("{}.", statements.join("; ")));
     }
-    let proofs = section(&report, "Proofs");
+    let proofs = section(report, "Proofs");
     let certificates = &report.results.proofs.certificates;
     assert!(certificates.len() >= scenarios.len());
     for proof in certificates {
@@ -199,6 +198,36 @@ fn escapes_and_certificates_are_those_of_avoid_and_check() {
         for assumption in &proof.assumptions {
             assert_states(&text, &format!("assuming that {assumption}\n"));
             assert_states(&proofs, &assumption.to_string());
+        }
+    }
+}
+
+/// Returns the words of the row about a vehicle in the table of a run report: index, class, driver, gap, time to
+/// collision and braking.
+fn vehicle_row(text: &str, vehicle: &str) -> Vec<String> {
+    let rows = text.lines().skip_while(|line| !line.contains("min gap m"));
+    let mut rows = rows.map(|row| row.split_whitespace().map(str::to_owned).collect());
+    rows.find(|row: &Vec<String>| row[0] == vehicle)
+        .expect(text)
+}
+
+#[test]
+fn scenario_cases_are_those_of_the_run_reports() {
+    let paper = section(paper_report(), "The paper's scenarios");
+    // Their only vehicle under test is vehicle 1.
+    for scenario in ["paper-1", "paper-2"] {
+        let own = subsection(&paper, scenario);
+        for name in ["baseline", "idm"] {
+            let named = controller(name);
+            let options =
+                RunOptions::new(named.source.clone()).with_estimator(EstimatorKind::default());
+            let run = Run::new(&built_in_scenario(scenario).unwrap(), options).unwrap();
+            let result = simulate(&run, RecordingLevel::Summary);
+            let text = RunReport::new(&run, &named, &result).to_text();
+            let [tested, behind] = ["1", "2"].map(|vehicle| vehicle_row(&text, vehicle));
+            let printed = [&tested[3], &behind[3], &tested[4], &tested[5]];
+            let shown = cells(own, name);
+            assert_eq!([shown[1], shown[2], shown[4], shown[5]], printed, "{own}");
         }
     }
 }

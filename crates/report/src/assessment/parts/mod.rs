@@ -1,7 +1,7 @@
 //! The parts of an assessment, one file each, and the results that an assessment gathers before it concludes.
 //!
-//! A new section of the report is a file in this folder that implements [`ReportPart`], and here a `mod` and a row of
-//! the table of results.
+//! A new section of the report is a file in this folder that implements [`ReportPart`], and here its line `mod` and its
+//! row of the table of results. The line is not in the table: `cargo fmt` skips files whose `mod` a macro writes.
 
 mod answer;
 mod argument;
@@ -45,28 +45,25 @@ pub use comparison::{
 };
 pub use distinct_failure::{DistinctFailure, EscapeFile, MethodResult};
 pub use failure_search::FailureSearch;
-pub use failure_searches::{FailureSearches, SpaceSearches};
-pub use file_scenarios::FileScenarios;
+pub use failure_searches::SpaceSearches;
 pub(super) use file_scenarios::{ANCHOR as FILE_SCENARIOS_ANCHOR, SCENARIO_FOLDER, scenario_path};
-pub use follower_kinds::{ControllerFollowers, FollowerReport, FollowerSpace, KindCounts};
+pub use follower_kinds::{ControllerFollowers, FollowerSpace, KindCounts};
 pub use glossary::Glossary;
 pub(super) use harm::HARM_RUNS_FILE;
-pub use harm::{ACTIVATION_MPS2, ControllerHarm, HarmGroup, HarmReport};
+pub use harm::{ACTIVATION_MPS2, ControllerHarm, HarmGroup};
 pub use limits::{AssessmentLimits, LimitingAssumption};
 pub use oscillation_gain::{GainCurve, LargestGain, OscillationGain};
 pub(super) use paper::ANCHOR as PAPER_ANCHOR;
-pub use paper::PaperScenarios;
 pub use proofs::Proofs;
 pub use provenance::{AssessmentProvenance, RunInfo};
 pub(super) use rate_certificates::generated_certificate_names;
-pub use recorded_drives::RecordedDrives;
-pub use sampling::{ControllerSample, PairedCounts, SpaceSample, SpaceSamples};
+pub use sampling::{ControllerSample, PairedCounts, SpaceSample};
 pub use scenario_cases::ScenarioCases;
 pub use share::PercentInterval;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
-pub use suites::{PlannedSuiteResult, SuiteFailure, SuiteOutcome, Suites};
+pub use suites::{PlannedSuiteResult, SuiteFailure, SuiteOutcome};
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
-pub use usefulness::{ControllerUsefulness, SpaceBraking, UsefulnessReport};
+pub use usefulness::{ControllerUsefulness, SpaceBraking};
 
 use serde::Serialize;
 
@@ -75,10 +72,12 @@ use super::gather_context::GatherContext;
 use super::report_part::{ReportPart, sort_by_chapter};
 use super::{AssessError, AssessmentPlan, Evidence};
 
-/// Declares [`GatheredResults`]. A row names a part and its field, in the order of `assessment.json`. The part has a
-/// function `gather` that returns the field.
+/// Declares [`GatheredResults`]. A row names the file of a part, the part and its field, in the order of
+/// `assessment.json`. The part has a function `gather` that returns the field.
 macro_rules! gathered_results {
-    ($($(#[$attribute:meta])* $part:ident => $field:ident: $type:ty,)*) => {
+    ($($(#[$attribute:meta])* $file:ident::$part:ident => $field:ident: $type:ty,)*) => {
+        $(pub use $file::$part;)*
+
         /// All results that an assessment gathered. The rest of the report follows from them and the plan.
         #[derive(Debug, Clone, Serialize)]
         #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -116,26 +115,26 @@ macro_rules! gathered_results {
 
 gathered_results! {
     /// Paper's three scenarios; absent if the plan leaves the paper out.
-    PaperScenarios => paper_scenarios: Option<PaperScenarios>,
+    paper::PaperScenarios => paper_scenarios: Option<PaperScenarios>,
     /// Failures counted on random scenarios of scenario spaces.
-    SpaceSamples => rate_spaces: SpaceSamples,
+    sampling::SpaceSamples => rate_spaces: SpaceSamples,
     /// Collisions ahead and behind, and harm; absent unless the configuration asks for them.
     #[serde(skip_serializing_if = "Option::is_none")]
-    HarmReport => harm: Option<HarmReport>,
+    harm::HarmReport => harm: Option<HarmReport>,
     /// Scenarios from files; absent if the configuration names none.
-    FileScenarios => file_scenarios: Option<FileScenarios>,
+    file_scenarios::FileScenarios => file_scenarios: Option<FileScenarios>,
     /// Tests that are modelled on regulations; absent if the configuration names no suites.
     #[serde(skip_serializing_if = "Option::is_none")]
-    Suites => suites: Option<Suites>,
+    suites::Suites => suites: Option<Suites>,
     /// Results of searches for failures.
-    FailureSearches => searches: FailureSearches,
+    failure_searches::FailureSearches => searches: FailureSearches,
     /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
-    UsefulnessReport => usefulness: Option<UsefulnessReport>,
+    usefulness::UsefulnessReport => usefulness: Option<UsefulnessReport>,
     /// Every controller by kind of follower; absent if the plan makes no such drives.
-    FollowerReport => followers: Option<FollowerReport>,
+    follower_kinds::FollowerReport => followers: Option<FollowerReport>,
     /// Every controller on recorded drives; absent if the configuration names none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    RecordedDrives => recorded_drives: Option<RecordedDrives>,
+    recorded_drives::RecordedDrives => recorded_drives: Option<RecordedDrives>,
 }
 
 /// Returns a field as a part; `None` if it is absent.

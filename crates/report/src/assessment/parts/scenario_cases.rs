@@ -6,9 +6,7 @@ use serde::Serialize;
 
 #[cfg(feature = "schema")]
 use crate::assessment::avoidance::AvoidanceJson;
-use crate::assessment::avoidance::{
-    CertifiedAvoidance, describe_avoidance, regret_m, serialize_rounded,
-};
+use crate::assessment::avoidance::{CertifiedAvoidance, regret_m, serialize_rounded};
 use crate::assessment::case::CaseResult;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Subject, UncomparedText,
@@ -152,11 +150,12 @@ impl ScenarioCases {
         Some((&self.scenario, self.certificate.as_ref()?))
     }
 
-    pub(in crate::assessment) fn describe_avoidance(&self) -> String {
-        self.avoidance
-            .as_ref()
-            .map(describe_avoidance)
-            .unwrap_or_default()
+    /// States what `crumple avoid` prints, in a sentence.
+    pub(super) fn describe_avoidance(&self) -> String {
+        let Some(report) = &self.avoidance else {
+            return String::new();
+        };
+        format!("`crumple avoid`: {}.", report.main_statements().join("; "))
     }
 
     pub(super) fn table(&self) -> ReportTable {

@@ -9,6 +9,7 @@ use crate::StudySubject;
 use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
+use crumple_core::digits::format_or_hyphen;
 use crumple_core::non_finite;
 use crumple_core::quoting::TerminalText;
 use crumple_measure::Specification;
@@ -378,9 +379,7 @@ impl CampaignSummary {
             let first = method
                 .first_falsification
                 .map_or("-".to_owned(), |first| first.to_string());
-            let best = method
-                .best_robustness
-                .map_or("-".to_owned(), |best| format!("{best:.3}"));
+            let best = format_or_hyphen(method.best_robustness, 3);
             let note = if index > 0 {
                 "  (reference search)"
             } else {

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::confirmation::escape_survives;
 use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
+use crumple_core::digits::format_fixed_down;
 use crumple_measure::{RunVerdict, Specification};
 use crumple_sim::scenario::Scenario;
 
@@ -165,7 +166,8 @@ impl Avoidability {
         match self {
             Self::NotAsked => None,
             Self::Avoidable { best_min_gap_m } => {
-                Some(format!("avoidable: an escape keeps {best_min_gap_m:.2} m"))
+                let gap = format_fixed_down(*best_min_gap_m, 2);
+                Some(format!("avoidable: an escape keeps {gap} m"))
             }
             Self::Unavoidable => Some("unavoidable: proved for every controller".to_owned()),
             Self::Undecided { reason } => Some(format!("undecided whether avoidable: {reason}")),
@@ -221,6 +223,17 @@ impl From<AvoidabilityInput> for Avoidability {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_gap_of_an_escape_is_rounded_down() {
+        let avoidable = Avoidability::Avoidable {
+            best_min_gap_m: 0.009,
+        };
+        assert_eq!(
+            avoidable.describe().unwrap(),
+            "avoidable: an escape keeps 0.00 m"
+        );
+    }
 
     #[test]
     fn every_class_round_trips_and_old_files_have_none() {
