@@ -1,7 +1,8 @@
 """Compares imports of random OpenSCENARIO files with an interpreter of the standard.
 
 `openscenario_motion.py BIN COUNT [FIRST]`: BIN is the folder of crumple, FIRST the number of the first file. For each
-four files, there is a further one with more edges, delays and repetitions, and one with more actions per vehicle.
+four files, there is a further one with more edges, delays and repetitions, one with more actions per vehicle, and one
+with several actions in an event, several actors, and references to all kinds of elements.
 
 Each file has two scripted vehicles with two to four (or four to six) actions each, and a vehicle at constant speed in
 whose lane they are. Positions must agree within 2 cm, and the times at which a vehicle enters or leaves the lane within
@@ -27,6 +28,8 @@ CLOSE_M = 0.02
 FIRST_WIDE = 5000
 # Number from which files have more actions.
 FIRST_LONG = 9000
+# Number from which events have several actions.
+FIRST_MIXED = 13000
 # One step of crumple. An event that is repeated at once begins up to one step later each time.
 STEP_S = 0.0101
 WIDTH_M = 1.8
@@ -281,6 +284,78 @@ class LongFile(File):
         return [condition(content, edge=chance.choice(["none", "rising"]), delay=chance.choice([0, 0.3]))]
 
 
+class MixedFile(File):
+    """Writes a random file with events of several actions, relative speeds, groups of two vehicles, several groups of
+    conditions, and references to all kinds of elements."""
+
+    def speed_action(self):
+        chance = self.chance
+        action = super().speed_action()
+        if chance.random() < 0.7:
+            return action
+        kind, value = chance.choice([("factor", 1.1), ("factor", 0.8), ("delta", -3), ("delta", 0), ("delta", 2.5)])
+        words = {"value": value, "speedTargetValueType": kind, "continuous": "false"}
+        # A factor of a changing speed could exceed the limits of a vehicle.
+        entity = "Ego" if kind == "factor" else chance.choice(["Ego", "A", "B"])
+        target = element("RelativeTargetSpeed", entityRef=entity, **words)
+        return re.sub("<AbsoluteTargetSpeed[^>]*/>", target, action)
+
+    def lane_action(self, name):
+        action = super().lane_action(name)
+        if self.chance.random() < 0.6:
+            return action
+        offset = round(self.chance.uniform(-0.8, 0.8), 2)
+        return action.replace("<LaneChangeAction>", f'<LaneChangeAction targetLaneOffset="{offset}">')
+
+    def state_condition(self, delays):
+        chance = self.chance
+        path, event = chance.choice(self.events)
+        depths = {"act": 2, "maneuverGroup": 3, "maneuver": 4, "event": 5, "action": 6}
+        kind = chance.choice(list(depths))
+        states = ["startTransition", "endTransition", "stopTransition", "completeState", "runningState"]
+        if kind == "event":
+            states += ["skipTransition", "standbyState"]
+        state = by_value(
+            "StoryboardElementStateCondition",
+            storyboardElementType=kind,
+            storyboardElementRef="::".join([*path, event, "a0"][: depths[kind]]),
+            state=chance.choice(states),
+        )
+        return condition(state, delay=chance.choice(delays))
+
+    def start_conditions(self, name, maneuver):
+        chance = self.chance
+        if not self.events or chance.random() < 0.65:
+            return super().start_conditions(name, maneuver)
+        conditions = [self.state_condition([0, 0, 0.3])]
+        if chance.random() < 0.3:
+            conditions.append(self.state_condition([0]))
+        if chance.random() < 0.3:
+            conditions.append(condition(at_time(round(chance.uniform(2, 8), 2))))
+        return conditions
+
+    def event(self, name, maneuver, path, k):
+        chance = self.chance
+        actions = [
+            self.speed_action() if chance.random() < 0.5 else self.lane_action(name)
+            for _ in range(chance.choice([1, 1, 2, 2, 3]))
+        ]
+        actions = [element("PrivateAction", action) for action in actions]
+        actions = [element("Action", action, name=f"a{index}") for index, action in enumerate(actions)]
+        groups = [self.start_conditions(name, maneuver) for _ in range(chance.choice([1, 1, 2]))]
+        start = element("StartTrigger", "".join(element("ConditionGroup", "".join(group)) for group in groups))
+        self.events.append((path, f"e{k}"))
+        priority = chance.choice(["override", "override", "parallel", "skip"])
+        return element("Event", "".join(actions) + start, name=f"e{k}", priority=priority, maximumExecutionCount=1)
+
+    def story(self):
+        text = super().story()
+        if self.chance.random() < 0.7:
+            return text
+        both = '<EntityRef entityRef="A"/><EntityRef entityRef="B"/></Actors>'
+        return text.replace('<EntityRef entityRef="A"/></Actors>', both, 1)
+
+
 def road(left_hand):
     """Returns a straight road with three lanes on each side."""
 
@@ -391,7 +466,8 @@ def compare(path, vehicles, error, engine, end, record):
 def check(task):
     binary, number, folder = task
     folder.mkdir()
-    kind = LongFile if number >= FIRST_LONG else WideFile if number >= FIRST_WIDE else File
+    kinds = {FIRST_MIXED: MixedFile, FIRST_LONG: LongFile, FIRST_WIDE: WideFile, 0: File}
+    kind = next(kind for first, kind in kinds.items() if number >= first)
     path = kind(random.Random(number), number).write(folder)
     vehicles, error = imported(binary, path, folder)
     engine = Engine(path, folder / "road.xodr")
@@ -403,7 +479,7 @@ def check(task):
     repeats = sum(int(count) - 1 for count in re.findall(r'maximumExecutionCount="(\d+)"', path.read_text()))
     allowed_s = STEP_S * (1 + repeats)
     # Each event of a chain begins up to one step of the interpreter late.
-    allowed_m = CLOSE_M * {File: 1, WideFile: 1 + repeats, LongFile: 2 + repeats}[kind]
+    allowed_m = CLOSE_M * {File: 1, MixedFile: 1, WideFile: 1 + repeats, LongFile: 2 + repeats}[kind]
     problem = "" if worst[0] <= allowed_m and worst[1] <= allowed_s else "differs"
     return number, *worst, problem
 
@@ -413,7 +489,7 @@ def main():
     first = int(sys.argv[3]) if len(sys.argv) > 3 else 0
     with tempfile.TemporaryDirectory() as name:
         numbers = list(range(first, first + count))
-        for further in (FIRST_WIDE, FIRST_LONG):
+        for further in (FIRST_WIDE, FIRST_LONG, FIRST_MIXED):
             numbers += range(further + first, further + first + count // 4)
         tasks = [(binary, k, Path(name) / str(k)) for k in numbers]
         with ProcessPoolExecutor(os.cpu_count()) as pool:

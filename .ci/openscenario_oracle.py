@@ -360,16 +360,16 @@ class Engine:
         vehicle.v = float(private.find(".//AbsoluteTargetSpeed").get("value"))
         vehicle.moved_s = 0.0
 
-    def release(self, action):
-        """A stopped action leaves the speed and the offset as they are (7.5.1)."""
-        for other, actor, strategy in self.active:
-            if other is action:
-                vehicle = self.vehicles[actor]
-                if vehicle.longitudinal is strategy or getattr(vehicle.longitudinal, "partner", 0) is strategy:
-                    vehicle.longitudinal = None
-                if vehicle.lateral is strategy or getattr(strategy, "partner", 0) is vehicle.lateral:
-                    vehicle.lateral = None
-        self.active = [entry for entry in self.active if entry[0] is not action]
+    def release(self, action, name=None):
+        """A stopped action leaves the speed and the offset as they are (7.5.1); with a name, that of one actor."""
+        released = [entry for entry in self.active if entry[0] is action and name in (None, entry[1])]
+        for _, actor, strategy in released:
+            vehicle = self.vehicles[actor]
+            if vehicle.longitudinal is strategy or getattr(vehicle.longitudinal, "partner", 0) is strategy:
+                vehicle.longitudinal = None
+            if vehicle.lateral is strategy or getattr(strategy, "partner", 0) is vehicle.lateral:
+                vehicle.lateral = None
+        self.active = [entry for entry in self.active if entry not in released]
 
     def runs(self, action):
         return any(entry[0] is action for entry in self.active)
@@ -388,7 +388,7 @@ class Engine:
 
     def strategy(self, inner, vehicle):
         if inner.tag == "SpeedAction":
-            target = float(inner.find(".//AbsoluteTargetSpeed").get("value"))
+            target = self.target_speed(inner.find("SpeedActionTarget")[0])
             vehicle.longitudinal = self.change(inner.find("SpeedActionDynamics"), vehicle, vehicle.v, target)
             return vehicle.longitudinal
         if inner.tag == "LaneChangeAction":
@@ -419,6 +419,13 @@ class Engine:
         vehicle.longitudinal.partner = vehicle.lateral
         return vehicle.longitudinal
 
+    def target_speed(self, target):
+        value = float(target.get("value"))
+        if target.tag == "AbsoluteTargetSpeed":
+            return value
+        other = self.vehicles[target.get("entityRef")].v
+        return other + value if target.get("speedTargetValueType") == "delta" else other * value
+
     def change(self, dynamics, vehicle, start, target):
         words = [dynamics.get(name) for name in ("dynamicsShape", "dynamicsDimension")]
         return Change(self.now, vehicle.travelled, start, target, *words, float(dynamics.get("value")))
@@ -437,7 +444,7 @@ class Engine:
                         vehicle.v = strategy.target
                     if isinstance(strategy, Change) and strategy is vehicle.lateral:
                         vehicle.y = strategy.target
-                    self.release(action)
+                    self.release(action, actor)
                     if not self.runs(action):
                         action.end()
             acts = [element for element in self.elements if element.kind == "act"]

@@ -1,5 +1,6 @@
 //! `crumple import F.xosc`: converts an OpenSCENARIO file to a scenario, to its variations or to a space.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -72,9 +73,13 @@ impl OpenScenarioArgs {
             output::note(&format!("note: {note}"), quiet);
         }
         if violating > 0 {
-            let problem = format!(
-                "{violating} combinations of values violate the constraints of the parameters"
-            );
+            let combinations = count_combinations(violating);
+            let verb = if violating == 1 {
+                "violates"
+            } else {
+                "violate"
+            };
+            let problem = format!("{combinations} {verb} the constraints of the parameters");
             output::note(&format!("note: {}: {problem}", path.display()), quiet);
         }
         note_refused(path, &refused, quiet);
@@ -89,10 +94,10 @@ impl OpenScenarioArgs {
         let ego = self.ego.as_deref();
         let Some(distribution) = &self.distribution else {
             let imported = show(&import_bar(1, quiet), |_| source.scenario(ego, &[]));
-            let ImportedLaneScenario { scenario, notes } = imported?;
+            let imported = imported?;
             return Ok(ConvertedFiles::single(
-                scenario_file(path, &scenario)?,
-                notes,
+                scenario_file(path, &imported.scenario, &imported.largest_motion)?,
+                imported.notes,
             ));
         };
         let distributions = ParameterDistributionFile::load(distribution, path)?;
@@ -161,30 +166,44 @@ impl ConvertedFiles {
 fn space_file(path: &Path, space: &ScenarioSpace) -> Result<(String, Vec<u8>), CliError> {
     let text = crumple_spaces::file::to_toml(space);
     let text = text.map_err(|error| CliError::at(path, error))?;
-    let text = readable(path, text)?;
+    let text = readable(path.display(), text)?;
     let stem = export::file_stem(space.name());
     Ok((format!("{stem}-space.toml"), text.into_bytes()))
 }
 
-fn scenario_file(path: &Path, scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
+/// Returns the file of a scenario. `largest_motion` is the place of most of its samples.
+fn scenario_file(
+    path: &Path,
+    scenario: &Scenario,
+    largest_motion: &str,
+) -> Result<(String, Vec<u8>), CliError> {
     let text = file::to_toml(scenario);
     let text = text.map_err(|error| CliError::at(path, error))?;
-    let text = readable(path, text)?;
+    let text = readable(largest_motion, text)?;
     Ok((
         format!("{}.toml", export::file_stem(&scenario.spec().name)),
         text.into_bytes(),
     ))
 }
 
-/// Refuses a scenario or space of a file that crumple could not read again.
-fn readable(path: &Path, text: String) -> Result<String, CliError> {
+/// Refuses a scenario or space that crumple could not read again. `origin` is the place that makes it large.
+fn readable(origin: impl Display, text: String) -> Result<String, CliError> {
     if text.len() as u64 <= text_file::MAX_TOML_BYTES {
         return Ok(text);
     }
     let most = text_file::MAX_TOML_BYTES >> 20;
     let problem = "as its speeds have too many samples: shorten trajectories, speed profiles or curved transitions";
     let problem = format!("the written file would have more than {most} MiB, {problem}");
-    Err(CliError::at(path, problem))
+    Err(CliError::Input(format!("{origin}: {problem}")))
+}
+
+fn count_combinations(count: usize) -> String {
+    let noun = if count == 1 {
+        "combination"
+    } else {
+        "combinations"
+    };
+    format!("{count} {noun} of values")
 }
 
 fn describe_values(variation: &Variation) -> String {
@@ -208,7 +227,8 @@ fn note_refused(path: &Path, refused: &[String], quiet: bool) {
         return;
     }
     let count = refused.len();
-    let problem = format!("{count} combinations of values cannot be imported");
+    let combinations = count_combinations(count);
+    let problem = format!("{combinations} cannot be imported");
     output::note(&format!("note: {}: {problem}", path.display()), quiet);
     for error in refused.iter().take(MAX_PRINTED_REFUSALS) {
         output::note(&format!("note: refused: {error}"), quiet);
@@ -247,7 +267,7 @@ fn import_variations(
             }
             Err(error) => return Err(CliError::Input(format!("{error} (with `{values}`)"))),
         };
-        let file = variation_file(path, &imported.scenario, index, values)?;
+        let file = variation_file(path, &imported, index, values)?;
         bytes_left = bytes_left
             .checked_sub(file.1.len() as u64)
             .ok_or_else(|| too_many_variations(path))?;
@@ -262,14 +282,14 @@ fn import_variations(
 /// Returns the file of a variation, with its number in the name.
 fn variation_file(
     path: &Path,
-    scenario: &Scenario,
+    imported: &ImportedLaneScenario,
     index: usize,
     values: String,
 ) -> Result<(String, Vec<u8>), CliError> {
-    let named = scenario.edited(|spec| {
+    let named = imported.scenario.edited(|spec| {
         let stem: String = spec.name.chars().take(190).collect();
         (spec.name, spec.about) = (format!("{stem}-{:05}", index + 1), values);
     });
     let named = named.map_err(|invalid| CliError::at(path, invalid))?;
-    scenario_file(path, &named)
+    scenario_file(path, &named, &imported.largest_motion)
 }

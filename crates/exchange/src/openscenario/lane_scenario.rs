@@ -22,6 +22,9 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 /// Largest distance between a script and its motion within the limits of the vehicle, in metres.
 const FOLLOW_TOLERANCE_M: f64 = 0.01;
 
+/// Acceleration beyond a limit that raises none, in m/s²: that of calculations.
+const NO_RAISE_MPS2: f64 = 1e-6;
+
 /// Time after the end at which a vehicle that stays beside the lane would enter it, in seconds.
 const BESIDE_S: f64 = 1.0;
 
@@ -95,8 +98,18 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
             .map_err(|invalid| self.outside_ranges(invalid, &entities))?;
         Ok(ImportedLaneScenario {
             scenario,
+            largest_motion: self.largest_motion(),
             notes: self.replay.notes,
         })
+    }
+
+    /// Returns file, line and name of the last action of the motion with the most samples.
+    fn largest_motion(&self) -> String {
+        let samples = |motion: &&EntityMotion<'a>| motion.plan.knots().len();
+        let largest = self.replay.motion.iter().max_by_key(samples);
+        let action = largest.and_then(|motion| motion.action(self.stop.time_s));
+        let ElementLocation { path, line, name } = action.unwrap_or(self.storyboard).location();
+        format!("{}:{line}: {name}", path.display())
     }
 
     /// Returns the lane of the vehicle under test; without one, that of the first entity.
@@ -464,8 +477,8 @@ impl<'a> LaneScenarioBuilder<'a, '_> {
         let [lowest, highest] = extreme_steps(&motion.plan, start_s, self.stop.time_s);
         let brake_mps2 = -lowest.rate_mps2 / self.replay.friction;
         let accel_mps2 = highest.rate_mps2;
-        let exceeds_brake = brake_mps2 > spec.max_brake_mps2();
-        if !exceeds_brake && accel_mps2 <= spec.max_accel_mps2() {
+        let exceeds_brake = brake_mps2 > spec.max_brake_mps2() + NO_RAISE_MPS2;
+        if !exceeds_brake && accel_mps2 <= spec.max_accel_mps2() + NO_RAISE_MPS2 {
             return Ok(None);
         }
         let hardest = if exceeds_brake { &lowest } else { &highest };
@@ -701,8 +714,17 @@ impl SpeedStep {
         body: &Entity<'_>,
         limits_mps2: [f64; 2],
     ) -> ScenarioImportError {
+        let node = self.action(motion).unwrap_or(body.node);
+        let [lowest_mps2, highest_mps2] = limits_mps2;
+        if (lowest_mps2..=highest_mps2).contains(&self.rate_mps2) {
+            return node.refuse(format!(
+                "the speed of `{}` changes so often that steps of {REPLAY_STEP_S} s miss its position by more than \
+                 {FOLLOW_TOLERANCE_M} m",
+                body.name
+            ));
+        }
         let [lowest_mps2, highest_mps2] = limits_mps2.map(format_number);
-        self.action(motion).unwrap_or(body.node).refuse(format!(
+        node.refuse(format!(
             "at {} s the speed of `{}` changes at {} m/s², outside its limits of {lowest_mps2} and {highest_mps2} m/s²",
             format_fixed(self.time_s, 2),
             body.name,

@@ -26,6 +26,7 @@ mod parameters;
 mod path_actions;
 mod place;
 mod quantity;
+mod recorded;
 mod replay;
 mod replay_state;
 mod report;
@@ -98,6 +99,9 @@ pub struct OpenScenarioSource {
 pub struct ImportedLaneScenario {
     /// Scenario on one lane.
     pub scenario: Scenario,
+    /// File, line and name of the last action of the motion with the most samples, for the error of a scenario whose
+    /// file would be too large.
+    pub largest_motion: String,
     /// Content without influence on the scenario, and assumptions, each with its line.
     pub notes: Vec<String>,
 }

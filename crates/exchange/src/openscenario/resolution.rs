@@ -1,15 +1,17 @@
 //! Resolution of recorded positions: the grid on which they lie, whatever digits a file prints.
 
+use std::f64::consts::TAU;
+
 /// Smallest increment of a position that is a movement, in metres.
 const MIN_MOVEMENT_M: f64 = 1e-8;
 /// Distance from a multiple of the grid that counts as on the grid, as a share of its step.
 const ON_GRID: f64 = 0.05;
-/// This distance in metres, at most: positions on a grid are exact but for single precision. At nearly constant speed,
-/// all increments are near a multiple of some coarse step.
+/// This distance in metres, at most: positions on a grid are exact but for single precision.
 const MAX_OFF_GRID_M: f64 = 5e-4;
-/// Number of different multiples of the step from which on increments show a grid.
-const LEAST_MULTIPLES: usize = 3;
-/// Share of the increments that must be on a grid. The first vertex may be that of another source.
+/// Number of different multiples of the step, with 0, from which on increments show a grid: at constant speed, rounding
+/// makes two.
+const LEAST_MULTIPLES: usize = 2;
+/// Share of the positions that must be on a grid. The first vertex may be that of another source.
 const LEAST_ON_GRID: f64 = 0.9;
 /// Number of movements from which on they show a grid. By chance, one in ten is on a given grid.
 const LEAST_MOVEMENTS: usize = 4;
@@ -21,19 +23,11 @@ const DECIMAL_UNITS_M: [f64; 2] = [1.0, 0.3048];
 const DECIMAL_STEPS: [f64; 3] = [1.0, 0.5, 0.2];
 const FINEST_BINARY_DIGIT: i32 = 14;
 
-/// Returns the step of the coarsest grid on which the increments of positions lie; 0 without a grid, in metres.
+/// Returns the step of the coarsest grid on which positions lie, but for a common offset; 0 without a grid, in metres.
 pub(super) fn grid_step_m(positions_m: &[f64]) -> f64 {
-    let pairs = positions_m.iter().zip(positions_m.iter().skip(1));
-    let increments = pairs.map(|(from_m, to_m)| to_m - from_m);
-    let movements_m: Vec<f64> = increments
-        .filter(|increment_m| increment_m.abs() >= MIN_MOVEMENT_M)
-        .collect();
-    if movements_m.len() < LEAST_MOVEMENTS {
-        return 0.0;
-    }
     let mut steps_m = candidate_steps_m().into_iter();
     steps_m
-        .find(|step_m| are_on_grid(&movements_m, *step_m))
+        .find(|step_m| are_on_grid(positions_m, *step_m))
         .unwrap_or(0.0)
 }
 
@@ -52,21 +46,47 @@ fn candidate_steps_m() -> Vec<f64> {
     steps_m
 }
 
-fn are_on_grid(movements_m: &[f64], step_m: f64) -> bool {
-    let off_grid = ON_GRID.min(MAX_OFF_GRID_M / step_m);
-    let allowed = ((1.0 - LEAST_ON_GRID) * movements_m.len() as f64) as usize;
-    let mut others = movements_m.iter().filter(|movement_m| {
-        let steps = *movement_m / step_m;
-        // A movement of less than half a step shows another grid.
-        steps.round() == 0.0 || (steps - steps.round()).abs() > off_grid
-    });
-    others.nth(allowed).is_none() && has_different_multiples(movements_m, step_m)
+fn are_on_grid(positions_m: &[f64], step_m: f64) -> bool {
+    let pairs = positions_m.iter().zip(positions_m.iter().skip(1));
+    let increments_m: Vec<f64> = pairs.map(|(from_m, to_m)| to_m - from_m).collect();
+    let movements = increments_m.iter().map(|increment_m| increment_m.abs());
+    let movements = movements.filter(|movement_m| *movement_m >= MIN_MOVEMENT_M);
+    let count = movements.clone().count();
+    // A movement of less than half a step shows another grid.
+    let small = movements.filter(|movement_m| *movement_m < 0.5 * step_m);
+    count >= LEAST_MOVEMENTS
+        && small.count() <= exceptions(count)
+        && has_different_multiples(&increments_m, step_m)
+        && have_common_offset(positions_m, step_m)
 }
 
-fn has_different_multiples(movements_m: &[f64], step_m: f64) -> bool {
-    let mut multiples: Vec<f64> = movements_m
+/// Returns true if positions are multiples of a step, but for an offset and few exceptions.
+fn have_common_offset(positions_m: &[f64], step_m: f64) -> bool {
+    let first_m = positions_m.first().copied().unwrap_or(0.0);
+    let angles = positions_m
         .iter()
-        .map(|movement_m| (movement_m / step_m).round())
+        .map(|position_m| ((position_m - first_m) / step_m).fract() * TAU);
+    let [sine, cosine] = angles.clone().fold([0.0, 0.0], |[sine, cosine], angle| {
+        [sine + libm::sin(angle), cosine + libm::cos(angle)]
+    });
+    let offset = libm::atan2(sine, cosine) / TAU;
+    let off_grid = ON_GRID.min(MAX_OFF_GRID_M / step_m);
+    let others = positions_m.iter().filter(|position_m| {
+        let steps = (*position_m - first_m) / step_m - offset;
+        (steps - steps.round()).abs() > off_grid
+    });
+    others.count() <= exceptions(positions_m.len())
+}
+
+/// Returns how many of `count` positions or movements may be none of a grid.
+fn exceptions(count: usize) -> usize {
+    ((1.0 - LEAST_ON_GRID) * count as f64) as usize
+}
+
+fn has_different_multiples(increments_m: &[f64], step_m: f64) -> bool {
+    let mut multiples: Vec<f64> = increments_m
+        .iter()
+        .map(|increment_m| (increment_m / step_m).round())
         .collect();
     multiples.sort_by(f64::total_cmp);
     multiples.dedup();
@@ -130,6 +150,17 @@ mod tests {
         }
     }
 
+    /// At constant speed, the movements are two adjacent multiples of the step, of which one may be none.
+    #[test]
+    fn the_grid_at_constant_speed_is_found() {
+        for (speed_mps, step_m) in [(20.37, 0.01), (20.37, 0.1), (0.7, 0.05), (25.03, 0.001)] {
+            let positions_m = (0..100).map(|sample| 0.04 * f64::from(sample) * speed_mps);
+            let positions_m = positions_m.map(|m| (m / step_m).round() * step_m);
+            let found_m = grid_step_m(&positions_m.collect::<Vec<f64>>());
+            assert!((found_m - step_m).abs() < 1e-9, "{speed_mps}: {found_m}");
+        }
+    }
+
     #[test]
     fn exact_positions_have_no_grid() {
         assert_eq!(grid_step_m(&driven_m()), 0.0);
@@ -137,6 +168,12 @@ mod tests {
         // At 22.43 m/s with noise, each increment is within 6 mm of 1.125 m; these positions have four decimals.
         let noisy_m = [0.0, 1.1213, 2.2421, 3.3621, 4.4819, 5.6024, 6.7232, 7.8457];
         assert_eq!(grid_step_m(&noisy_m), 1e-4);
+        // Increments at 5 Hz of a vehicle that brakes at 3 m/s² are near multiples of 2 cm, and positions are not.
+        let positions_m = (0..50).map(|sample| 0.2 * f64::from(sample)).map(|time_s| {
+            let braked_s = f64::max(time_s - 3.0, 0.0);
+            20.001 * time_s - 1.5 * braked_s * braked_s
+        });
+        assert!(grid_step_m(&positions_m.collect::<Vec<f64>>()) < 1e-3);
         assert_eq!(grid_step_m(&[3.0; 50]), 0.0);
         assert_eq!(grid_step_m(&[]), 0.0);
     }

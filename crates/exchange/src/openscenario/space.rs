@@ -44,7 +44,9 @@ impl OpenScenarioSource {
                 (parameter.name.clone(), format_compact(middle))
             })
             .collect();
-        let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &middles)?;
+        let ImportedLaneScenario {
+            scenario, notes, ..
+        } = self.scenario(ego, &middles)?;
         counter.add(1)?;
         let mut base = scenario.spec().clone();
         let mut parameters = Vec::new();

@@ -1,9 +1,10 @@
 //! Speeds of an entity that follows a polyline with times.
 //!
 //! Between two vertices, the entity moves at constant speed (class `Trajectory`). Rounding of the positions is removed
-//! first. A speed that changes little from segment to segment is read as smooth; it never leaves the range of the mean
-//! speeds of the segments around it.
+//! first, and the speeds of a recording are averaged. A speed that changes little from segment to segment is read as
+//! smooth; it never leaves the range of the mean speeds of the segments around it.
 
+use super::recorded::{Averaging, averaging_window_s, recorded_path};
 use super::speed_plan::SpeedPlan;
 use super::taut_path::{Point, slope, taut_path};
 
@@ -17,12 +18,6 @@ const MAX_RECORDED_ROUNDING_M: f64 = 0.0708;
 const RECORDING_STEP_S: f64 = 0.2;
 /// Smallest rounding error, in metres: that of calculations with positions.
 const MIN_ROUNDING_M: f64 = 1e-7;
-/// Error of a mean speed between two vertices, in m/s, from which on speeds are averaged: two decimals at 10 Hz.
-const UNCERTAIN_MPS: f64 = 0.045;
-/// Window and step of the average, in seconds, and number of averages.
-const AVERAGE_S: f64 = 0.2;
-const AVERAGE_STEP_S: f64 = 0.02;
-const AVERAGING_PASSES: usize = 2;
 /// Speeds that differ by less are equal, in m/s; positions in metres.
 const EQUAL_MPS: f64 = 1e-9;
 const EQUAL_M: f64 = 1e-9;
@@ -113,7 +108,7 @@ pub(super) fn rounding_m(vertices: &[PathVertex], resolution_m: f64) -> f64 {
 }
 
 /// Returns the mean time between vertices; `None` if there are less than two.
-fn mean_step_s(vertices: &[PathVertex]) -> Option<f64> {
+pub(super) fn mean_step_s(vertices: &[PathVertex]) -> Option<f64> {
     let [start, .., end] = vertices else {
         return None;
     };
@@ -149,64 +144,66 @@ pub(super) fn follow(
     };
     plan.cut(start.time_s);
     let smoothing_m = SMOOTHING_M + rounding_m;
-    let mut segments = segments_of(&path_to_standstill(vertices, rounding_m));
-    let mut before_mps = plan.at(start.time_s).speed_mps;
-    // An initial speed from which the vehicle cannot begin the trajectory is none.
-    if let ([_], Some(first)) = (plan.knots(), segments.first()) {
-        let ramp_s = drivable_s(first.mean_mps - before_mps, limits_mps2);
-        if 0.5 * ramp_s * (first.mean_mps - before_mps).abs() > smoothing_m {
-            before_mps = first.mean_mps;
-            plan.set_initial_speed(before_mps);
-        }
-    }
-    set_rises(&mut segments, before_mps, smoothing_m);
-    join(&mut segments, before_mps, limits_mps2);
+    let window_s = averaging_window_s(vertices, rounding_m);
+    let path = match window_s {
+        Some(window_s) => recorded_path(vertices, rounding_m, window_s),
+        None => path_to_standstill(vertices, rounding_m),
+    };
+    let mut segments = segments_of(&path);
+    let is_recorded = window_s.is_some();
+    let begin = set_begin(plan, &mut segments, (is_recorded, smoothing_m), limits_mps2);
+    join(&mut segments, begin.speed_mps, limits_mps2);
     push_speeds(plan, &segments, smoothing_m, limits_mps2);
-    if is_recorded(vertices, rounding_m) {
-        for _ in 0..AVERAGING_PASSES {
-            average(plan, start.time_s, end.time_s);
+    if let Some(window_s) = window_s {
+        Averaging {
+            span_s: [start.time_s, end.time_s],
+            window_s,
+            has_own_start: begin.is_own,
         }
+        .apply(plan);
     }
     largest_distance_m(plan, vertices)
 }
 
-/// Returns true if rounding makes the mean speeds between vertices uncertain, as in a recording.
-fn is_recorded(vertices: &[PathVertex], rounding_m: f64) -> bool {
-    mean_step_s(vertices).is_some_and(|step_s| rounding_m / step_s >= UNCERTAIN_MPS)
+/// Speed with which the motion along a trajectory begins.
+struct BeginSpeed {
+    speed_mps: f64,
+    /// True for that of the trajectory instead of that of the motion before.
+    is_own: bool,
 }
 
-/// Replaces the speeds between two times by their averages over a window, which are never outside of their range. The
-/// last position stays.
-fn average(plan: &mut SpeedPlan, start_s: f64, end_s: f64) {
-    let count = ((end_s - start_s) / AVERAGE_STEP_S).ceil().max(1.0) as usize;
-    let step_s = (end_s - start_s) / count as f64;
-    let means: Vec<(f64, f64)> = (0..=count)
-        .map(|index| {
-            let time_s = start_s + index as f64 * step_s;
-            // The window is smaller at the ends.
-            let half_s = (0.5 * AVERAGE_S).min(time_s - start_s).min(end_s - time_s);
-            let mean_mps = if half_s > 0.5 * step_s {
-                let [from_m, to_m] =
-                    [time_s - half_s, time_s + half_s].map(|time_s| plan.at(time_s).position_m);
-                (to_m - from_m) / (2.0 * half_s)
-            } else {
-                plan.at(time_s).speed_mps
-            };
-            (time_s, mean_mps)
-        })
-        .collect();
-    let end_m = plan.at(end_s).position_m;
-    let covered_m: f64 = means
-        .iter()
-        .zip(means.iter().skip(1))
-        .map(|(from, to)| 0.5 * (from.1 + to.1) * (to.0 - from.0))
-        .sum();
-    let missing_m = end_m - plan.at(start_s).position_m - covered_m;
-    let correction_mps = missing_m / (end_s - start_s);
-    plan.cut(start_s);
-    for (time_s, mean_mps) in means {
-        plan.push(time_s, (mean_mps + correction_mps).max(0.0));
+/// Sets the changes of the speed within the segments, and returns the speed with which the motion begins: that before,
+/// but an initial speed gives way to that of a recording, and to one with which the vehicle can begin the trajectory.
+fn set_begin(
+    plan: &mut SpeedPlan,
+    segments: &mut [SpeedSegment],
+    (is_recorded, smoothing_m): (bool, f64),
+    limits_mps2: [f64; 2],
+) -> BeginSpeed {
+    let is_initial = plan.knots().len() == 1;
+    let mut begin = BeginSpeed {
+        speed_mps: plan.knots().last().map_or(0.0, |knot| knot.speed_mps),
+        is_own: false,
+    };
+    if is_initial && let Some(first) = segments.first() {
+        let change_mps = first.mean_mps - begin.speed_mps;
+        if 0.5 * drivable_s(change_mps, limits_mps2) * change_mps.abs() > smoothing_m {
+            begin.speed_mps = first.mean_mps;
+        }
     }
+    set_rises(segments, begin.speed_mps, smoothing_m);
+    if is_initial && let Some(first) = segments.first() {
+        let own_mps = first.speed_mps(first.start_s);
+        // Rounding is no reason for a ramp at the start of a recording.
+        if is_recorded && (own_mps - begin.speed_mps).abs() >= EQUAL_MPS {
+            begin = BeginSpeed {
+                speed_mps: own_mps,
+                is_own: true,
+            };
+        }
+        plan.set_initial_speed(begin.speed_mps);
+    }
+    begin
 }
 
 /// Returns the segments of a path. A small movement back is a standstill.
@@ -224,7 +221,7 @@ fn segments_of(path: &[Point]) -> Vec<SpeedSegment> {
 
 /// Returns the path through the vertices without their rounding. A vehicle that was faster before and does not leave
 /// its last position stands there: rounding does not let it creep.
-fn path_to_standstill(vertices: &[PathVertex], rounding_m: f64) -> Vec<Point> {
+pub(super) fn path_to_standstill(vertices: &[PathVertex], rounding_m: f64) -> Vec<Point> {
     let (Some(last), Some(held_from)) = (vertices.last(), held_from(vertices, rounding_m)) else {
         return taut_path(vertices, rounding_m);
     };
@@ -234,7 +231,7 @@ fn path_to_standstill(vertices: &[PathVertex], rounding_m: f64) -> Vec<Point> {
 }
 
 /// Returns the first of the vertices that hold the last position; `None` if the vehicle may creep through them.
-fn held_from(vertices: &[PathVertex], rounding_m: f64) -> Option<usize> {
+pub(super) fn held_from(vertices: &[PathVertex], rounding_m: f64) -> Option<usize> {
     let last = vertices.last()?;
     let held = vertices
         .iter()
@@ -565,13 +562,14 @@ mod tests {
         let stated_m = follow(&mut plan, &vertices, rounding_m, LIMITS_MPS2);
         let mut reached_m = points[0].1;
         let mut largest_m: f64 = 0.0;
-        let steps = ((points[points.len() - 1].0) * 1000.0).round() as usize;
+        // A jump of the speed within a step means an error of up to 1.5 mm.
+        let steps = ((points[points.len() - 1].0) * 1e4).round() as usize;
         for step in 0..steps {
-            let time_s = 1.0 + 0.001 * step as f64;
+            let time_s = 1.0 + 1e-4 * step as f64;
             let off_m = reached_m - position_m(&vertices, time_s);
             largest_m = largest_m.max(off_m.abs());
             assert!(plan.at(time_s).speed_mps >= 0.0);
-            reached_m += 0.001 * plan.at(time_s + 0.0005).speed_mps;
+            reached_m += 1e-4 * plan.at(time_s + 0.5e-4).speed_mps;
         }
         assert!(
             largest_m <= stated_m + 0.002,
@@ -709,7 +707,7 @@ mod tests {
         }
 
         /// The motion is within the rounding of the polyline, and 5 mm and the rounding for each of the smooth speeds
-        /// and the ramps at vertices. Averages add up to 3 cm at accelerations of up to 3 m/s².
+        /// and the ramps at vertices. Averages add up to three steps at accelerations of up to 3 m/s².
         #[test]
         fn rounded_positions_are_passed_within_the_bound(
             pieces in vec((1.0_f64..3.0, -3.0_f64..3.0), 2..6),
@@ -738,10 +736,17 @@ mod tests {
             prop_assert_eq!(rounding_m, 0.5 * step_m);
             let mut plan = SpeedPlan::constant(vertices[0].position_m, 20.0);
             let off_m = follow(&mut plan, &vertices, rounding_m, [30.0, 30.0]);
-            let averaged_m = if is_recorded(&vertices, rounding_m) { 0.03 } else { 0.0 };
-            // The ramp from the initial speed to that of the first segment takes `change / 30` seconds.
-            let first_mps = (vertices[1].position_m - vertices[0].position_m) / vertices[1].time_s;
-            let ramp_m = 0.5 * (first_mps - 20.0) * (first_mps - 20.0) / 30.0;
+            let averaged_m = match averaging_window_s(&vertices, rounding_m) {
+                Some(_) => 6.0 * rounding_m,
+                None => 0.0,
+            };
+            // The ramp from the initial speed to that at the start of the first segment takes `change / 30` seconds.
+            // A smooth speed at the start differs from the mean speed of the segment by up to `rise_mps`.
+            let first_s = vertices[1].time_s;
+            let first_mps = (vertices[1].position_m - vertices[0].position_m) / first_s;
+            let rise_mps = 4.0 * (SMOOTHING_M + rounding_m) / first_s;
+            let change_mps = (first_mps - 20.0).abs() + rise_mps;
+            let ramp_m = 0.5 * change_mps * change_mps / 30.0;
             let bound_m = 3.0 * rounding_m + 0.01 + averaged_m + 1.5 * ramp_m;
             prop_assert!(off_m <= bound_m, "{off_m}, not {bound_m}");
         }

@@ -21,6 +21,8 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Distance from a polyline from which a note states it, in metres.
 const NOTED_DISTANCE_M: f64 = 0.01;
+/// Change of the initial speed from which a note states it, in m/s.
+const NOTED_CHANGE_MPS: f64 = 0.005;
 /// Largest distance of the first vertex of a trajectory from the entity, in metres.
 const START_TOLERANCE_M: f64 = 0.01;
 /// Largest lateral movement of a vertex that is a movement along the lane, in metres.
@@ -343,7 +345,7 @@ impl<'a> Replay<'a, '_> {
         [stated_mps, start_mps]: [f64; 2],
         (off_m, keeps_lane): (f64, bool),
     ) {
-        if start_mps != stated_mps {
+        if (start_mps - stated_mps).abs() >= NOTED_CHANGE_MPS {
             let start = format_fixed(start_mps, 2);
             let text = format!("the initial speed is that of the trajectory, {start} m/s");
             self.note_once(Some(node.note(text)));
