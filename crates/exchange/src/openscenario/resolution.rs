@@ -1,4 +1,4 @@
-//! Resolution of recorded positions: the grid on which they lie, whatever digits a file prints.
+//! Resolution of recorded positions and times: the grid on which they lie, whatever digits a file prints.
 
 use std::f64::consts::TAU;
 
@@ -8,9 +8,8 @@ const MIN_MOVEMENT_M: f64 = 1e-8;
 const ON_GRID: f64 = 0.05;
 /// This distance in metres, at most: positions on a grid are exact but for single precision.
 const MAX_OFF_GRID_M: f64 = 5e-4;
-/// Number of different multiples of the step, with 0, from which on increments show a grid: at constant speed, rounding
-/// makes two.
-const LEAST_MULTIPLES: usize = 2;
+/// Number of positions from which the offset of a grid is taken.
+const OFFSET_POSITIONS: usize = 64;
 /// Share of the positions that must be on a grid. The first vertex may be that of another source.
 const LEAST_ON_GRID: f64 = 0.9;
 /// Number of movements from which on they show a grid. By chance, one in ten is on a given grid.
@@ -29,6 +28,46 @@ pub(super) fn grid_step_m(positions_m: &[f64]) -> f64 {
     steps_m
         .find(|step_m| are_on_grid(positions_m, *step_m))
         .unwrap_or(0.0)
+}
+
+/// Longest time between the vertices of a recording, in seconds.
+const MAX_RECORDING_STEP_S: f64 = 0.2;
+/// Largest distance of a rounded time from a line, in steps.
+const MAX_OFF_LINE: f64 = 0.6;
+
+/// Returns the times of vertices at a constant rate, if the times are these but for rounding to a step. The first and
+/// the last time stay.
+pub(super) fn regular_times_s(times_s: &[f64]) -> Option<Vec<f64>> {
+    let [first_s, .., last_s] = times_s else {
+        return None;
+    };
+    let count = times_s.len() as f64;
+    let interval_s = (last_s - first_s) / (count - 1.0);
+    let step_s = grid_step_m(times_s);
+    if interval_s > MAX_RECORDING_STEP_S || step_s == 0.0 {
+        return None;
+    }
+    let indices = (0..times_s.len()).map(|index| index as f64);
+    let regular_s = indices.clone().map(|index| first_s + index * interval_s);
+    let off_s: Vec<f64> = regular_s
+        .clone()
+        .zip(times_s)
+        .map(|(s, time_s)| time_s - s)
+        .collect();
+    // The line through all times (least squares), because the first and the last one are rounded, too.
+    let middle = 0.5 * (count - 1.0);
+    let mean_s = off_s.iter().sum::<f64>() / count;
+    let centred = indices.clone().map(|index| index - middle);
+    let products: f64 = centred
+        .clone()
+        .zip(&off_s)
+        .map(|(index, s)| index * s)
+        .sum();
+    let squares: f64 = centred.clone().map(|index| index * index).sum();
+    let are_near = centred
+        .zip(&off_s)
+        .all(|(index, s)| (s - mean_s - index * products / squares).abs() <= MAX_OFF_LINE * step_s);
+    are_near.then(|| regular_s.collect())
 }
 
 /// Returns the steps of grids, coarse to fine.
@@ -63,19 +102,21 @@ fn are_on_grid(positions_m: &[f64], step_m: f64) -> bool {
 /// Returns true if positions are multiples of a step, but for an offset and few exceptions.
 fn have_common_offset(positions_m: &[f64], step_m: f64) -> bool {
     let first_m = positions_m.first().copied().unwrap_or(0.0);
+    let stride = positions_m.len().div_ceil(OFFSET_POSITIONS).max(1);
     let angles = positions_m
         .iter()
+        .step_by(stride)
         .map(|position_m| ((position_m - first_m) / step_m).fract() * TAU);
-    let [sine, cosine] = angles.clone().fold([0.0, 0.0], |[sine, cosine], angle| {
+    let [sine, cosine] = angles.fold([0.0, 0.0], |[sine, cosine], angle| {
         [sine + libm::sin(angle), cosine + libm::cos(angle)]
     });
     let offset = libm::atan2(sine, cosine) / TAU;
     let off_grid = ON_GRID.min(MAX_OFF_GRID_M / step_m);
-    let others = positions_m.iter().filter(|position_m| {
+    let mut others = positions_m.iter().filter(|position_m| {
         let steps = (*position_m - first_m) / step_m - offset;
         (steps - steps.round()).abs() > off_grid
     });
-    others.count() <= exceptions(positions_m.len())
+    others.nth(exceptions(positions_m.len())).is_none()
 }
 
 /// Returns how many of `count` positions or movements may be none of a grid.
@@ -83,14 +124,13 @@ fn exceptions(count: usize) -> usize {
     ((1.0 - LEAST_ON_GRID) * count as f64) as usize
 }
 
+/// Returns true if increments are different multiples of a step, with 0: at constant speed, rounding makes two.
 fn has_different_multiples(increments_m: &[f64], step_m: f64) -> bool {
-    let mut multiples: Vec<f64> = increments_m
+    let mut multiples = increments_m
         .iter()
-        .map(|increment_m| (increment_m / step_m).round())
-        .collect();
-    multiples.sort_by(f64::total_cmp);
-    multiples.dedup();
-    multiples.len() >= LEAST_MULTIPLES
+        .map(|increment_m| (increment_m / step_m).round());
+    let first = multiples.next();
+    multiples.any(|multiple| Some(multiple) != first)
 }
 
 #[cfg(test)]
@@ -159,6 +199,29 @@ mod tests {
             let found_m = grid_step_m(&positions_m.collect::<Vec<f64>>());
             assert!((found_m - step_m).abs() < 1e-9, "{speed_mps}: {found_m}");
         }
+    }
+
+    #[test]
+    fn rounded_times_at_a_constant_rate_are_regular() {
+        let rounded_s = |rate_hz: f64, step_s: f64| -> Vec<f64> {
+            let exact = (0..200).map(|index| 3.0 + f64::from(index) / rate_hz);
+            exact.map(|s| (s / step_s).round() * step_s).collect()
+        };
+        for (rate_hz, step_s) in [(30.0, 0.001), (29.97, 0.001), (30.0, 0.01), (12.0, 0.01)] {
+            let regular_s = regular_times_s(&rounded_s(rate_hz, step_s)).unwrap();
+            for (index, time_s) in regular_s.iter().enumerate() {
+                let off_s = time_s - 3.0 - index as f64 / rate_hz;
+                assert!(off_s.abs() <= 0.5 * step_s + 1e-9, "{rate_hz}: {off_s}");
+            }
+        }
+        // Regular without rounding, a missing vertex, and times that are planned.
+        assert_eq!(regular_times_s(&rounded_s(25.0, 0.001)), None);
+        let mut gap_s = rounded_s(30.0, 0.001);
+        gap_s.remove(70);
+        assert_eq!(regular_times_s(&gap_s), None);
+        assert_eq!(regular_times_s(&[0.0, 1.0, 2.0, 3.1, 4.0, 5.0]), None);
+        assert_eq!(regular_times_s(&[0.0, 0.1, 0.2, 0.35, 0.4, 0.5]), None);
+        assert_eq!(regular_times_s(&[]), None);
     }
 
     #[test]

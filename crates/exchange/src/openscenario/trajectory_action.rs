@@ -8,7 +8,7 @@ use super::lateral::{LateralExtent, LateralMove};
 use super::limits::WORK_PER_SAMPLE;
 use super::place::{PlacePurpose, resolve_place, tilt};
 use super::replay::Replay;
-use super::resolution::grid_step_m;
+use super::resolution::{grid_step_m, regular_times_s};
 use super::speed_plan::take_samples;
 use super::storyboard::StoryAction;
 use super::trajectory::{self, PathVertex, rounding_m};
@@ -41,6 +41,8 @@ pub(super) struct TrajectoryAction<'a> {
     timing: Option<TrajectoryTiming>,
     /// Step of the grid on which the positions along the road lie, in metres; 0 without one.
     resolution_m: f64,
+    /// True if the vertices have a constant rate, but for the rounding of the times in the file.
+    has_rounded_times: bool,
 }
 
 /// Reads an action that follows a trajectory.
@@ -65,10 +67,17 @@ pub(super) fn read_trajectory<'a>(
     }
     let polyline = read_polyline(node.optional("TrajectoryRef").unwrap_or(node))?;
     let timing = TrajectoryTiming::read(node.child("TimeReference")?.single()?)?;
-    let vertices = read_vertices(polyline, timing.as_ref())?;
+    let mut vertices = read_vertices(polyline, timing.as_ref())?;
+    let times_s: Vec<f64> = vertices.iter().map(|(time_s, _)| *time_s).collect();
+    let regular_s = regular_times_s(&times_s);
+    let has_rounded_times = regular_s.is_some();
+    for ((time_s, _), regular_s) in vertices.iter_mut().zip(regular_s.into_iter().flatten()) {
+        *time_s = regular_s;
+    }
     Ok(StoryAction::Trajectory(TrajectoryAction {
         node,
         resolution_m: resolution_m(&vertices)?,
+        has_rounded_times,
         vertices,
         timing,
     }))
@@ -334,6 +343,8 @@ impl<'a> Replay<'a, '_> {
         let rounding_m = rounding_m(followed, action.resolution_m);
         let off_m = trajectory::follow(plan, followed, rounding_m, limits_mps2);
         let start_mps = plan.at(start_s).speed_mps;
+        let times = "the rounded times of the vertices are read as those of a constant rate";
+        self.note_once(action.has_rounded_times.then(|| node.note(times)));
         self.note_following(node, [before_mps, start_mps], (off_m, keeps_lane));
         vertices.last().map_or(0.0, |vertex| vertex.time_s)
     }
