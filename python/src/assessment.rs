@@ -21,6 +21,9 @@ use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
 use crate::values::{json_to_python, serialize_to_python};
 
+/// Commit from which a released package was built, by `.ci/release`.
+const PACKAGE_COMMIT: Option<&str> = option_env!("CRUMPLE_COMMIT");
+
 /// Result of an assessment.
 #[pyclass(name = "Assessment", frozen, module = "crumple")]
 pub(crate) struct PyAssessment(AssessmentForm);
@@ -280,7 +283,8 @@ pub(crate) fn assess(
     })?;
     let gathered = assessment.map_err(|error| assessment_error(py, &error))?;
     let folder = path.as_deref().and_then(Path::parent);
-    let run_info = RunInfo::collect(folder.unwrap_or(Path::new("")), identity, begun.elapsed());
+    let folder = folder.unwrap_or(Path::new(""));
+    let run_info = RunInfo::collect(folder, identity, PACKAGE_COMMIT, begun.elapsed());
     let gathered = gathered.with_run_info(run_info);
     Ok(PyAssessment(AssessmentForm::Gathered(Box::new(gathered))))
 }

@@ -19,6 +19,9 @@ use crumple_report::assessment::{
 use crumple_sim::engine::NamedController;
 use crumple_store::program;
 
+/// Commit from which a release build was made, by `build.rs`.
+const PROGRAM_COMMIT: Option<&str> = option_env!("CRUMPLE_COMMIT");
+
 /// Rest of the long help, after the sentences about the built-in report.
 const CONFIGURATION: &str = "\
 `crumple show assessment` prints its configuration, with a comment for each field: controllers, spaces, scenarios, \
@@ -105,7 +108,7 @@ impl Assess {
             .as_deref()
             .and_then(Path::parent)
             .unwrap_or(Path::new(""));
-        let run_info = RunInfo::collect(source, identity, begun.elapsed());
+        let run_info = RunInfo::collect(source, identity, PROGRAM_COMMIT, begun.elapsed());
         let assessment = assessment.with_run_info(run_info);
         folder.write(&assessment.files().map_err(CliError::input)?)?;
         self.note_files(&cache, quiet);

@@ -93,9 +93,12 @@ def check(chromium, page, folder):
 def check_report(pages, evidence):
     """Returns what the pages of a printed report lack: identity, strengths and gates."""
     identity, run = evidence["identity"], evidence["provenance"]["run_info"]
-    foot = f"Assessment of {identity['subject']}, {run['at'][:10]}, crumple {identity['crumple']}"
+    subject = identity["subject_sha256"]
+    subject = f" (SHA-256 {subject[:12]})" if subject else ""
+    foot = f"Assessment of {identity['subject']}{subject}, {run['at'][:10]}, crumple {identity['crumple']}"
     first = without_spaces(pages[0])
-    wanted = [identity["subject_sha256"], identity["configuration_sha256"], run["at"], identity["crumple"]]
+    hashes = [identity[field] for field in ("subject_sha256", "configuration_sha256", "crumple_commit")]
+    wanted = [*hashes, run["at"], identity["crumple"]]
     missing = [f"page 1: {part}" for part in wanted if part and without_spaces(part) not in first]
     for number, page in enumerate(pages, 1):
         if without_spaces(foot) not in without_spaces(page):

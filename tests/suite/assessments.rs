@@ -599,7 +599,14 @@ fn a_fresh_report_passes_its_own_checks() {
     // The configuration in the folder repeats the report.
     let repeat = commands_in(&markdown, "crumple assess assessment.toml");
     let command = repeat.first().expect("the report says how to repeat it");
-    shell(command, &moved);
+    let compared = shell(&format!("{command} --against assessment.json"), &moved);
+    assert!(
+        compared.contains(
+            "Compared with the earlier assessment: 0 better, 0 worse, 0 new, 0 gone, 0 changed without being better or \
+             worse, "
+        ) && !compared.contains(", 0 unchanged"),
+        "{compared}"
+    );
     let repeated = fs::read_to_string(elsewhere.path().join("repeated/assessment.json"));
     let repeated: serde_json::Value =
         serde_json::from_str(&repeated.expect("written")).expect("JSON");
@@ -611,6 +618,13 @@ fn a_fresh_report_passes_its_own_checks() {
             .collect()
     };
     assert_eq!(words(&repeated), words(&evidence));
+    // A controller has the same name in both, whatever its file is called in the folder.
+    for field in ["/summary/controllers", "/identity/subject"] {
+        assert_eq!(repeated.pointer(field), evidence.pointer(field), "{field}");
+    }
+    let configurations = [moved, elsewhere.path().join("repeated")]
+        .map(|folder| fs::read_to_string(folder.join("assessment.toml")).expect("written"));
+    assert_eq!(configurations[0], configurations[1]);
 }
 
 /// A program without listed files is not copied into the report, which says what to copy. With it, the configuration in
@@ -690,7 +704,8 @@ fn check_identity(report: &Path, evidence: &serde_json::Value, checked: &str) {
     }
     let html = text("assessment.html");
     let title = format!(
-        "<title>Assessment of own.safetensors, {}, {version}",
+        "<title>Assessment of own.safetensors (SHA-256 {}), {}, {version}",
+        &hash[..12],
         &date[..10]
     );
     assert!(html.contains(&title), "{title}");
@@ -706,6 +721,29 @@ fn check_identity(report: &Path, evidence: &serde_json::Value, checked: &str) {
         assert!(
             checked.contains(hash) && html.contains(hash) && text("assessment.md").contains(hash),
             "{proof}"
+        );
+    }
+}
+
+/// The indicator of a comparison has an interval, and the claim about the runs that decide it: those counted, not the
+/// random scenarios of the report.
+fn check_indicators(gates: &[serde_json::Value]) {
+    for gate in gates {
+        let indicator = &gate["indicator"];
+        let claim = indicator["claim"].as_str().expect("a claim");
+        assert!(
+            claim
+                .starts_with("own.safetensors: fewer failures than keeps.toml in the distribution"),
+            "{claim}"
+        );
+        let number = |field: &str| indicator.pointer(field).and_then(serde_json::Value::as_f64);
+        let [value, lower, upper] = ["/value", "/interval/lower", "/interval/upper"]
+            .map(|field| number(field).expect(field));
+        assert!(lower <= value && value <= upper, "{indicator}");
+        assert_eq!(number("/interval/confidence_percent"), Some(99.0));
+        assert_eq!(
+            (number("/threshold"), indicator["unit"].as_str()),
+            (Some(0.0), Some("%"))
         );
     }
 }
@@ -728,6 +766,7 @@ fn check_gates(report: &Path, evidence: &serde_json::Value) {
         _ => false,
     };
     assert_eq!(files, certificates.iter().filter(is_written).count());
+    check_indicators(gates);
     let counted = gates[1]["reason"].as_str().expect("a reason");
     assert!(
         counted.starts_with("of the same 40 counted runs"),
@@ -1033,6 +1072,22 @@ fn misleading_configurations_are_refused_at_the_start() {
         (
             "[[gates]]\nrequire = \"proofs-accepted\"\ncontroler = \"idm\"\n",
             "controler",
+        ),
+        (
+            "[names]\n\"acc-aeb\" = \"mine\"\n",
+            "names: `acc-aeb` is not among `controllers`",
+        ),
+        (
+            "[names]\nidm = \" \"\n",
+            "names: the name of `idm` must not be empty",
+        ),
+        (
+            "[names]\nidm = \"shield:road\"\n",
+            "names: `shield:road` is a built-in controller; give `idm` another name",
+        ),
+        (
+            "[names]\nidm = \"mine\"\nbaseline = \"mine\"\n",
+            "controllers[1]: `mine` appears twice",
         ),
         (
             "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"idm\"\nthan = \"idm\"\n",

@@ -126,6 +126,7 @@ fn evidence() -> impl Strategy<Value = Evidence> {
     (claim(), strength()).prop_map(|(claim, strength)| Evidence {
         claim,
         strength,
+        first_violation: None,
         source: EvidenceSource::from_part("x", "y"),
     })
 }

@@ -51,10 +51,9 @@ pub(crate) fn without_build_info(name: &str, text: &str) -> String {
             .filter(|line| !line.starts_with("Run of "))
             .map(|line| format!("{line}\n"))
             .collect(),
-        // The duration of a JUnit suite follows its date.
         Some("xml") => without_dates(text)
             .lines()
-            .map(|line| match line.split_once("timestamp=\"DATE\" time=\"") {
+            .map(|line| match line.split_once(" time=\"") {
                 Some((before, after)) => {
                     let (_, rest) = after.split_once('"').expect("a quoted number");
                     format!("{before}{rest}\n")
@@ -106,6 +105,9 @@ fn committed_run_info() -> RunInfo {
         at: text("at"),
         commit: run_info["commit"].as_str().map(str::to_owned),
         program_sha256: text("program_sha256"),
+        program_commit: evidence["identity"]["crumple_commit"]
+            .as_str()
+            .map(str::to_owned),
         machine: text("machine"),
         duration_s: run_info["duration_s"].as_u64().unwrap_or_default(),
     }
@@ -236,10 +238,15 @@ fn the_committed_report_was_made_from_a_clean_commit() {
     let commit = evidence["provenance"]["run_info"]["commit"]
         .as_str()
         .expect("the report states a commit");
-    let is_hash = commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit());
+    let is_hash = |commit: &str| {
+        commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit())
+    };
+    // A debug build states no commit of the program.
+    let program = evidence["identity"]["crumple_commit"].as_str();
     assert!(
-        is_hash,
-        "reports/assessment.json was made from `{commit}`: commit first, and renew the reports then"
+        is_hash(commit) && program.is_none_or(is_hash),
+        "reports/assessment.json was made from `{commit}` by a program of `{program:?}`: commit first, and renew the \
+         reports then"
     );
     for name in ["assessment.md", "assessment.html"] {
         let text = read_committed(name);
@@ -318,14 +325,21 @@ fn junit_holds_each_gate_as_a_test() {
         .map(|row| row.claims.iter().flatten().count())
         .sum();
     // Cases are about the subject, properties about the other controllers; each suite also has the identity.
-    let mut suites = report.test_suites.iter();
-    let stated = suites
-        .find(|suite| suite.name.as_str() == "claims")
-        .expect("claims");
-    assert_eq!(
-        stated.test_cases.len() + stated.properties.len() - gates.properties.len(),
-        claims
+    let suites = report.test_suites.iter();
+    let stated: Vec<_> = suites
+        .filter(|suite| suite.name.as_str().starts_with("claims: "))
+        .collect();
+    let stated_claims = |suite: &&quick_junit::TestSuite| {
+        suite.test_cases.len() + suite.properties.len() - gates.properties.len()
+    };
+    assert_eq!(stated.iter().map(stated_claims).sum::<usize>(), claims);
+    // A part that was simulated has its measured time; gates and cases have none.
+    assert!(
+        stated
+            .iter()
+            .any(|suite| suite.time.is_some_and(|time| !time.is_zero()))
     );
+    assert!(gates.time.is_none());
 }
 
 /// The goal structure is valid YAML: no dangling references, one connected structure, and challenged goals are
@@ -454,6 +468,53 @@ fn every_counterexample_of_the_report_collides() {
         }
     }
     assert!(replayed > 20, "{replayed}");
+}
+
+/// Each failed case about runs of a report names the file of a scenario, and the scenarios that violate claims about
+/// collisions collide.
+#[test]
+fn failed_cases_name_scenarios_that_fail() {
+    use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+    use crumple_sim::scenario::file;
+    let contents = |path: &str| {
+        let (_, contents) = BUILT_IN_FILES
+            .iter()
+            .find(|(name, _)| name == path)
+            .unwrap_or_else(|| panic!("{path} is no file of the report"));
+        std::str::from_utf8(contents).expect("text")
+    };
+    let junit = contents("assessment.junit.xml");
+    let failed = junit
+        .split("<testcase ")
+        .skip(1)
+        .filter(|case| case.contains("<failure"));
+    let mut named = 0;
+    for case in failed.filter(|case| !case.contains("largest gain")) {
+        let (_, file) = case.split_once(" file=\"").expect(case);
+        let (file, _) = file.split_once('"').expect("a quoted path");
+        assert!(!contents(file).is_empty());
+        named += 1;
+    }
+    assert!(named > 5, "{junit}");
+    let mut collided = 0;
+    for violation in &BUILT_IN_ASSESSMENT.violations.scenarios {
+        let path = Path::new(&violation.file);
+        let scenario =
+            file::from_toml(contents(&violation.file), path, &NoDriverFiles).expect("valid");
+        let controller = Controllers::default()
+            .find(&violation.controller, Path::new(""))
+            .expect("known")
+            .source;
+        let run = Run::new(&scenario, RunOptions::new(controller)).expect("runs");
+        let outcome = simulate(&run, RecordingLevel::Summary).outcome;
+        let is_about_collisions = violation.claim.starts_with("no collision");
+        assert!(
+            outcome.collision().is_some() || !is_about_collisions,
+            "{violation:?}"
+        );
+        collided += usize::from(is_about_collisions);
+    }
+    assert!(collided > 2, "{collided}");
 }
 
 /// A comparison with itself finds no change; with one good claim turned bad it finds only that.

@@ -52,22 +52,25 @@ pub(crate) struct JunitSuite {
     pub(crate) name: String,
     /// Date and time in UTC, in the format of RFC 3339.
     pub(crate) timestamp: Option<String>,
-    /// Duration in seconds of all suites together: their cases share runs, so that no case has a time of its own.
-    pub(crate) time_s: Option<u64>,
+    /// Measured duration of all cases together, in seconds. They share runs, so that no case has a time of its own.
+    pub(crate) time_s: Option<f64>,
     pub(crate) properties: Vec<(String, String)>,
     pub(crate) cases: Vec<JunitCase>,
 }
 
 /// Renders suites as XML. Control characters are shown as escapes.
-pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
+///
+/// `time_s` is the measured duration of all suites and of other work, in whole seconds.
+pub(crate) fn render_xml(name: &str, time_s: Option<u64>, suites: &[JunitSuite]) -> String {
     let cases = suites.iter().flat_map(|suite| &suite.cases);
     let requirements = RequirementVerifiers::new(cases.clone());
     let [skipped, failures, errors] = count_statuses(cases);
     let name = escape(name);
     let tests: usize = suites.iter().map(|suite| suite.cases.len()).sum();
+    let time = time_s.map_or_else(String::new, |time_s| format!(" time=\"{time_s}\""));
     let mut text = format!(
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"{name}\" tests=\"{tests}\" \
-         skipped=\"{skipped}\" failures=\"{failures}\" errors=\"{errors}\">\n"
+         skipped=\"{skipped}\" failures=\"{failures}\" errors=\"{errors}\"{time}>\n"
     );
     // Writing to a string cannot fail.
     let _ = suites
@@ -161,7 +164,7 @@ impl JunitSuite {
             write!(out, r#" timestamp="{}""#, escape(timestamp))?;
         }
         if let Some(time_s) = self.time_s {
-            write!(out, r#" time="{time_s}""#)?;
+            write!(out, r#" time="{time_s:.3}""#)?;
         }
         if self.cases.is_empty() && self.properties.is_empty() {
             return writeln!(out, "/>");
@@ -181,7 +184,7 @@ impl JunitCase {
         let name = escape(&self.name);
         write!(
             out,
-            r#"        <testcase classname="{class}" name="{name}" time="0""#
+            r#"        <testcase classname="{class}" name="{name}""#
         )?;
         if let Some(file) = &self.file {
             write!(out, r#" file="{}""#, escape(file))?;

@@ -42,6 +42,25 @@ pub fn from_toml(
     )
 }
 
+/// Space whose description was reworded, its file, and the description in version 1, which hashes still contain:
+/// trainings and certificates name the space by its hash.
+const REWORDED_SPACE: &str = "traffic";
+const REWORDED_FILE: &str = include_str!("built_in/traffic.toml");
+const DESCRIPTION_OF_VERSION_1: &str = include_str!("built_in/traffic-about-of-version-1.txt");
+
+/// Returns the data of a space with the description that its hash contains.
+fn identity_spec(space: &ScenarioSpace) -> SpaceSpec {
+    let mut spec = space.spec().clone();
+    let is_reworded = || {
+        let built_in = toml::from_str::<SpaceSpec>(REWORDED_FILE);
+        built_in.is_ok_and(|built_in| built_in.about == spec.about)
+    };
+    if spec.name == REWORDED_SPACE && is_reworded() {
+        spec.about = DESCRIPTION_OF_VERSION_1.trim_end().to_owned();
+    }
+    spec
+}
+
 /// Serializes the space as TOML, with its base scenario inline.
 ///
 /// # Errors
@@ -50,21 +69,22 @@ pub fn to_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
     toml::to_string(space.spec())
 }
 
-/// Returns the text that identifies a space in hashes, and that certificates contain: [`to_toml`] with the names of
-/// version 1, so that records of 0.3.0 name the same space.
+/// Returns the text that identifies a space in hashes, and that certificates contain: [`to_toml`] with the names and
+/// descriptions of version 1, so that records of 0.3.0 name the same space.
 ///
 /// # Errors
 /// Those of [`to_toml`].
 pub fn to_identity_toml(space: &ScenarioSpace) -> Result<String, toml::ser::Error> {
-    let text = to_toml(space)?;
+    let text = toml::to_string(&identity_spec(space))?;
     Ok(old_names::SPACE.restore_in_text(&text))
 }
 
-/// Returns the JSON that identifies a space in hashes, with the names of version 1.
+/// Returns the JSON that identifies a space in hashes, with the names and descriptions of
+/// version 1.
 ///
 /// # Errors
 /// None for a valid space; passes on the error of the serializer.
 pub fn to_identity_json(space: &ScenarioSpace) -> Result<String, serde_json::Error> {
-    let text = serde_json::to_string(space.spec())?;
+    let text = serde_json::to_string(&identity_spec(space))?;
     Ok(old_names::SPACE.restore_in_text(&text))
 }

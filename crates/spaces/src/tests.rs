@@ -561,3 +561,23 @@ fn mistakes_name_line_and_field() {
         "{message}"
     );
 }
+
+/// Reports, trainings and certificates of 0.3.0 name the space `traffic` by this hash, and contain the description of
+/// that version. A space with that description is the same space.
+#[test]
+fn a_reworded_description_keeps_the_hash_of_its_space() {
+    let traffic = built_in_space("traffic").unwrap();
+    let text = file::to_identity_toml(&traffic).unwrap();
+    assert_eq!(
+        crumple_core::digest::sha256(&text),
+        "667eb0193390cc92deae841d5707a1980dc43494a203828af5cd0734e33be909"
+    );
+    assert_ne!(text, file::to_toml(&traffic).unwrap());
+    let of_version_1 = file::from_toml(&text, Path::new("traffic.toml"), &NoDriverFiles).unwrap();
+    assert_ne!(of_version_1.spec().about, traffic.spec().about);
+    for identity in [file::to_identity_toml(&of_version_1).unwrap(), text] {
+        assert_eq!(file::to_identity_toml(&traffic).unwrap(), identity);
+    }
+    let json = [&traffic, &of_version_1].map(|space| file::to_identity_json(space).unwrap());
+    assert_eq!(json[0], json[1]);
+}

@@ -54,6 +54,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
         "replay.sh",
         "report.sha256",
         "scenarios",
+        "violations",
         "work.json",
     ];
     for threads in ["1", "2"] {

@@ -1,5 +1,6 @@
 //! The configuration file of `crumple assess`.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,9 @@ pub struct AssessConfig {
     /// `acc-aeb`, `predictive`, `policy`, `shield:policy` and `road`.
     #[serde(default = "compared_controllers")]
     pub controllers: Vec<String>,
+    /// Names of controllers in the report, by their entries in `controllers`. Default: the entries themselves.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub names: BTreeMap<String, String>,
     /// Controller that the safety case is about, one of `controllers`. Default: `road` if it is one of
     /// them, otherwise the first learned one, or the last.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -276,6 +280,7 @@ impl Default for AssessConfig {
         Self {
             version: CONFIG_VERSION,
             controllers: compared_controllers(),
+            names: BTreeMap::new(),
             subject: None,
             estimator: EstimatorKind::default(),
             paper: default_true(),

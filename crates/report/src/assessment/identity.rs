@@ -6,8 +6,8 @@ use super::parts::RunInfo;
 use super::{AssessmentPlan, CommandFile};
 use crumple_core::digest::sha256;
 
-/// Commit from which the program was built; the builds of releases state it.
-const PROGRAM_COMMIT: Option<&str> = option_env!("CRUMPLE_COMMIT");
+/// Number of digits of a hash in a title.
+const SHORT_HASH_DIGITS: usize = 12;
 
 /// The identity of a report, in all of its forms.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -31,8 +31,8 @@ pub struct ReportIdentity {
     pub configuration_commit: Option<String>,
     /// Version of crumple.
     pub crumple: &'static str,
-    /// Commit from which crumple was built, if its build states it.
-    pub crumple_commit: Option<&'static str>,
+    /// Commit from which crumple was built, with a mark if its sources had changes; absent if the build states none.
+    pub crumple_commit: Option<String>,
     /// SHA-256 of the program, if known. JSON has it in `provenance`.
     #[serde(skip)]
     pub program_sha256: Option<String>,
@@ -51,7 +51,7 @@ impl ReportIdentity {
             configuration_sha256: sha256(&configuration.contents),
             configuration_commit: None,
             crumple: env!("CARGO_PKG_VERSION"),
-            crumple_commit: PROGRAM_COMMIT,
+            crumple_commit: None,
             program_sha256: None,
         }
     }
@@ -61,6 +61,7 @@ impl ReportIdentity {
         Self {
             date: Some(run_info.at.clone()),
             configuration_commit: run_info.commit.clone(),
+            crumple_commit: run_info.program_commit.clone(),
             program_sha256: Some(run_info.program_sha256.clone()),
             ..self
         }
@@ -72,13 +73,17 @@ impl ReportIdentity {
         format!("Assessment of `{}`", self.subject)
     }
 
-    /// Returns the identity in one line, for the title of a window and the foot of a printed page.
+    /// Returns the identity in one line, for the title of a window and the foot of a printed page. Hashes are short.
     #[must_use]
     pub fn one_line(&self) -> String {
+        let hash = self.subject_sha256.as_deref().map(shorten_hash);
+        let hash = hash.map_or_else(String::new, |hash| format!(" (SHA-256 {hash})"));
         let day = self.date.as_deref().and_then(|date| date.get(..10));
         let day = day.map_or_else(String::new, |day| format!(", {day}"));
+        let commit = self.crumple_commit.as_deref().map(shorten_commit);
+        let commit = commit.map_or_else(String::new, |commit| format!(", commit {commit}"));
         format!(
-            "Assessment of {}{day}, crumple {}",
+            "Assessment of {}{hash}{day}, crumple {}{commit}",
             self.subject, self.crumple
         )
     }
@@ -109,6 +114,7 @@ impl ReportIdentity {
     fn describe_program(&self) -> String {
         let commit = self
             .crumple_commit
+            .as_ref()
             .map(|commit| format!(", commit {commit}"));
         let program = self
             .program_sha256
@@ -121,6 +127,18 @@ impl ReportIdentity {
             program.unwrap_or_default()
         )
     }
+}
+
+fn shorten_hash(hash: &str) -> &str {
+    hash.get(..SHORT_HASH_DIGITS).unwrap_or(hash)
+}
+
+/// Shortens the hash of a commit, and keeps the mark behind it.
+fn shorten_commit(commit: &str) -> String {
+    let (hash, mark) = commit.split_once(' ').unwrap_or((commit, ""));
+    format!("{} {mark}", shorten_hash(hash))
+        .trim_end()
+        .to_owned()
 }
 
 /// File of the configuration in the report folder.

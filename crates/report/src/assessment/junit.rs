@@ -10,14 +10,12 @@ use crate::suite::{describe_min_margins, describe_verdict};
 /// properties.
 pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
     let gates = assessment.summary.gates.iter();
-    let mut suites = vec![
-        JunitSuite {
-            name: "gates".to_owned(),
-            cases: gates.map(|gate| assessment.gate_case(gate)).collect(),
-            ..assessment.empty_junit_suite()
-        },
-        assessment.claims_suite(),
-    ];
+    let mut suites = vec![JunitSuite {
+        name: "gates".to_owned(),
+        cases: gates.map(|gate| assessment.gate_case(gate)).collect(),
+        ..assessment.empty_junit_suite()
+    }];
+    suites.extend(assessment.claims_suites());
     let results = assessment.results.suites.iter();
     for suite in results.flat_map(|suites| &suites.suites) {
         suites.push(JunitSuite {
@@ -26,7 +24,9 @@ pub(super) fn render_junit(assessment: &AssessmentReport) -> String {
             ..assessment.empty_junit_suite()
         });
     }
-    junit::render_xml(&assessment.identity.one_line(), &suites)
+    let run_info = assessment.provenance.run_info.as_ref();
+    let time_s = run_info.map(|run| run.duration_s);
+    junit::render_xml(&assessment.identity.one_line(), time_s, &suites)
 }
 
 impl AssessmentReport {
@@ -35,18 +35,35 @@ impl AssessmentReport {
         let rows = self.identity.rows().into_iter();
         JunitSuite {
             timestamp: self.identity.date.clone(),
-            time_s: self.provenance.run_info.as_ref().map(|run| run.duration_s),
             properties: rows.map(|(name, value)| (name.to_owned(), value)).collect(),
             ..JunitSuite::default()
         }
     }
 
-    fn claims_suite(&self) -> JunitSuite {
+    /// Returns a suite for each part of the report with claims, which has the measured time of that part.
+    fn claims_suites(&self) -> Vec<JunitSuite> {
+        let mut parts: Vec<&str> = Vec::new();
+        for row in &self.summary.claims {
+            if !parts.contains(&row.part) {
+                parts.push(row.part);
+            }
+        }
+        let suites = parts.into_iter().map(|part| self.claims_suite(part));
+        suites.collect()
+    }
+
+    /// Returns the suite of the claims of a part.
+    fn claims_suite(&self, part: &str) -> JunitSuite {
+        let mut headings = self.results.parts().into_iter().map(|part| part.heading());
+        let heading = headings.find(|heading| heading.anchor == part);
+        let title = heading.map_or(part, |heading| heading.title);
         let mut suite = JunitSuite {
-            name: "claims".to_owned(),
+            name: format!("claims: {title}"),
+            time_s: self.results.part_times.find_s(part),
             ..self.empty_junit_suite()
         };
-        for row in &self.summary.claims {
+        let rows = self.summary.claims.iter();
+        for row in rows.filter(|row| row.part == part) {
             for (claim, status) in row.claims.iter().zip(&row.statuses) {
                 let Some(claim) = claim else {
                     continue;
@@ -110,21 +127,14 @@ impl AssessmentReport {
 
     /// Returns the file of a scenario that fails against the claim of a gate, if the report has one.
     fn scenario_against(&self, gate: &GateResult) -> Option<String> {
-        let named = gate.indicator.claim.as_ref()?;
-        let mut claims = self
-            .summary
-            .claims
-            .iter()
-            .flat_map(|row| row.claims.iter().flatten().map(move |claim| (row, claim)));
-        let (_, claim) = claims.find(|(row, claim)| {
-            let controller = &claim.subject.controller.name;
-            *named == format!("{controller}: {}", row.claim)
-        })?;
-        self.failing_scenario(claim)
+        self.failing_scenario(gate.claim.as_ref()?)
     }
 
     /// Returns the file of the first scenario that fails against a claim, if the report has one.
     fn failing_scenario(&self, claim: &AssuranceClaim) -> Option<String> {
+        if let Some(file) = self.violations.find(claim) {
+            return Some(file.to_owned());
+        }
         let controller = &claim.subject.controller.name;
         match &claim.domain {
             Domain::Search { space, .. } | Domain::Space { space } => {

@@ -43,8 +43,8 @@ pub use case::{
 };
 pub use claims::{
     AssuranceClaim, ClaimStatus, ContentId, Domain, Evidence, EvidenceSource, InferenceRule,
-    Ledger, MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, StrengthLevel, Subject,
-    UncomparedText,
+    Ledger, MIN_CONFIDENCE_PERCENT, Property, RandomScenario, SecondaryEvidence, Strength,
+    StrengthLevel, Subject, UncomparedText,
 };
 pub use commands::{CommandFile, CrumpleCommand};
 pub use config::{
@@ -162,12 +162,13 @@ pub fn assess(
     work.ensure_all_trusted()?;
     let configuration = plan.configuration_file(&results.proofs)?;
     let identity = ReportIdentity::new(plan, &configuration);
+    let provenance = AssessmentProvenance::new(plan, cache, &configuration);
     let mut files = plan.command_files()?;
     files.push(configuration);
     Ok(AssessmentReport::derive(
         plan,
         results,
-        AssessmentProvenance::new(plan, cache),
+        provenance,
         (identity, files),
         against,
     ))

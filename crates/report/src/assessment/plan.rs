@@ -1,6 +1,6 @@
 //! A valid configuration with everything that it names.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use crumple_controllers::Controllers;
@@ -17,7 +17,7 @@ use super::followers::{follower_drivers, follower_kinds};
 use super::gate_rules::{GateName, NameRole};
 use super::parts;
 use super::planned_suite::PlannedSuite;
-use crumple_controllers::{find_and_try, find_for_user};
+use crumple_controllers::{find_and_try, find_built_in, find_for_user};
 use crumple_core::digest::sha256;
 use crumple_core::field_error::FieldError;
 use crumple_core::format_version::check_version;
@@ -146,10 +146,11 @@ impl AssessmentPlan {
         own: impl IntoIterator<Item = NamedController>,
         folder: &Path,
     ) -> Result<Self, AssessConfigError> {
-        let loading = PlanLoader {
+        let mut loading = PlanLoader {
             path: Path::new("configuration"),
             text: "",
             folder,
+            names: BTreeMap::new(),
         };
         let mut controllers = loading.load_controllers(&config)?;
         let first_own = controllers.len();
@@ -176,10 +177,11 @@ impl AssessmentPlan {
         let mut config: AssessConfig = text_file::parse_toml(&text, path)?;
         old_names::ASSESSMENT.warn(&text, path);
         config.controllers_of_files = controllers;
-        let loading = PlanLoader {
+        let mut loading = PlanLoader {
             path,
             text: &text,
             folder: path.parent().unwrap_or(Path::new("")),
+            names: BTreeMap::new(),
         };
         let controllers = loading.load_controllers(&config)?;
         loading.build_plan(config, controllers)
@@ -264,6 +266,13 @@ impl AssessmentPlan {
         (0..self.controllers.len())
             .filter_map(|index| self.claim_subject(index, self.config.estimator))
             .collect()
+    }
+
+    /// Returns the entry of a controller in `controllers`, which the configuration may have given another name.
+    pub(super) fn controller_entry<'a>(&'a self, controller: &'a NamedController) -> &'a str {
+        let mut names = self.config.names.iter();
+        let named = names.find(|(_, name)| **name == controller.name);
+        named.map_or(&controller.name, |(entry, _)| entry)
     }
 
     pub(super) fn subject(&self) -> Option<&NamedController> {
@@ -395,6 +404,8 @@ struct PlanLoader<'a> {
     path: &'a Path,
     text: &'a str,
     folder: &'a Path,
+    /// Names that the configuration gives to controllers, by their own names.
+    names: BTreeMap<String, String>,
 }
 
 impl PlanLoader<'_> {
@@ -481,12 +492,41 @@ impl PlanLoader<'_> {
     /// Returns the index of a controller, and makes its name canonical: controllers have one name, however the
     /// configuration spells it.
     fn find_controller(&self, controllers: &[NamedController], name: &mut String) -> Option<usize> {
-        if let Ok(controller) = find_for_user(name, self.folder) {
-            *name = controller.name;
+        let is_named = controllers
+            .iter()
+            .any(|controller| controller.name == *name);
+        if !is_named && let Ok(controller) = find_for_user(name, self.folder) {
+            let given = self.names.get(&controller.name).cloned();
+            *name = given.unwrap_or(controller.name);
         }
         controllers
             .iter()
             .position(|controller| controller.name == *name)
+    }
+
+    /// Gives a controller the name that the configuration states for its entry in `controllers`, if it states one.
+    fn give_name(
+        &mut self,
+        config: &AssessConfig,
+        entry: &str,
+        controller: NamedController,
+    ) -> Result<NamedController, AssessConfigError> {
+        let Some(name) = config.names.get(entry) else {
+            return Ok(controller);
+        };
+        self.ensure(!name.trim().is_empty(), "names", || {
+            format!("the name of `{entry}` must not be empty")
+        })?;
+        // A reader would take it for that controller.
+        let is_taken = controller.name != *name && find_built_in(name).is_some();
+        self.ensure(!is_taken, "names", || {
+            format!("`{name}` is a built-in controller; give `{entry}` another name")
+        })?;
+        self.names.insert(controller.name, name.clone());
+        Ok(NamedController {
+            name: name.clone(),
+            source: controller.source,
+        })
     }
 
     /// Makes the controllers' names of all gates canonical, and checks the gates.
@@ -589,17 +629,22 @@ impl PlanLoader<'_> {
     }
 
     fn load_controllers(
-        &self,
+        &mut self,
         config: &AssessConfig,
     ) -> Result<Vec<NamedController>, AssessConfigError> {
         self.ensure(!config.controllers.is_empty(), "controllers", || {
             "must name at least one controller".to_owned()
         })?;
+        let mut named = config.names.keys();
+        if let Some(unknown) = named.find(|entry| !config.controllers.contains(entry)) {
+            return Err(self.field_error("names", not_among_controllers(unknown)));
+        }
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
             let controller = find_and_try(name, self.folder)
                 .map_err(|error| self.field_error(&field, error.to_string()))?;
+            let controller = self.give_name(config, name, controller)?;
             self.add_controller(&mut controllers, &field, controller)?;
         }
         Ok(controllers)

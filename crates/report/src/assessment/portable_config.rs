@@ -1,5 +1,6 @@
 //! The configuration of a report as a file of its folder: every file that it names is in that folder, too.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::controller_arg::controller_arg;
@@ -50,9 +51,10 @@ impl AssessmentPlan {
 
     /// Returns what the configuration names and the report folder lacks, in words.
     fn files_outside_report(&self, proofs: &Proofs) -> Vec<String> {
-        let controllers = self
-            .controllers_outside_report()
-            .map(|name| format!("the controller `{name}` with its files"));
+        let controllers = self.controllers_outside_report().map(|controller| {
+            let name = self.portable_name(controller);
+            format!("the controller `{name}` with its files")
+        });
         let drives = self.config.drives.as_deref().map(|folder| {
             let name = folder_name(folder);
             format!("the recorded drives, as the folder `{}`", name.display())
@@ -64,12 +66,11 @@ impl AssessmentPlan {
         controllers.chain(drives).chain(rejected).collect()
     }
 
-    /// Returns the names of the controllers whose files are not in the report folder.
-    pub(super) fn controllers_outside_report(&self) -> impl Iterator<Item = &str> {
+    /// Returns the controllers whose files are not in the report folder.
+    pub(super) fn controllers_outside_report(&self) -> impl Iterator<Item = &NamedController> {
         self.controllers
             .iter()
             .filter(|controller| controller_arg(&*controller.source).is_none())
-            .map(|controller| controller.name.as_str())
     }
 
     fn portable_config(&self, proofs: &Proofs) -> AssessConfig {
@@ -96,6 +97,7 @@ impl AssessmentPlan {
         }
         let mut portable = AssessConfig {
             controllers,
+            names: self.portable_names(),
             subject,
             distributions: Some(space_args(&self.rate_spaces)),
             scenarios: self.portable_scenarios(),
@@ -108,6 +110,18 @@ impl AssessmentPlan {
         };
         portable.search.spaces = Some(space_args(&self.search_spaces));
         portable
+    }
+
+    /// Returns the names that the report gives to controllers, by those in the report folder where these differ. Of
+    /// two controllers with the same files, the subject or the first has the name.
+    fn portable_names(&self) -> BTreeMap<String, String> {
+        let mut names = BTreeMap::new();
+        for controller in self.subject().into_iter().chain(&self.controllers) {
+            let portable = self.portable_name(controller);
+            names.entry(portable).or_insert(controller.name.clone());
+        }
+        names.retain(|portable, name| portable != name);
+        names
     }
 
     fn portable_scenarios(&self) -> Vec<PathBuf> {
@@ -132,11 +146,30 @@ impl AssessmentPlan {
         if let Some(arg) = controller_arg(&*controller.source) {
             return arg;
         }
-        let copied = copied_name(controller);
+        let copied = self.copied_name(controller);
         let mut others = self.controllers.iter();
-        match others.any(|other| other.name != controller.name && copied_name(other) == copied) {
-            true => controller.name.clone(),
+        let is_taken =
+            others.any(|other| other.name != controller.name && self.copied_name(other) == copied);
+        match is_taken {
+            true => self.controller_entry(controller).to_owned(),
             false => copied,
+        }
+    }
+
+    /// Returns the name of a controller file after its copy into the report folder: the file name, behind the settings
+    /// of a shield. Commands keep their names.
+    fn copied_name(&self, controller: &NamedController) -> String {
+        let entry = self.controller_entry(controller);
+        let shield = controller
+            .source
+            .as_shield()
+            .map_or_else(String::new, |shield| shield.settings.name_prefix());
+        match entry.strip_prefix(&shield) {
+            Some(inner) if !inner.starts_with("exec:") => {
+                let file = folder_name(Path::new(inner));
+                format!("{shield}{}", file.display())
+            }
+            _ => entry.to_owned(),
         }
     }
 
@@ -215,23 +248,6 @@ impl PlannedSuite {
         } else {
             format!("suites/{}.toml", file_stem(name))
         }
-    }
-}
-
-/// Returns the name of a controller file after its copy into the report folder: the file name, behind the settings of a
-/// shield. Commands keep their names.
-fn copied_name(controller: &NamedController) -> String {
-    let name = controller.name.as_str();
-    let shield = controller
-        .source
-        .as_shield()
-        .map_or_else(String::new, |shield| shield.settings.name_prefix());
-    match name.strip_prefix(&shield) {
-        Some(inner) if !inner.starts_with("exec:") => {
-            let file = folder_name(Path::new(inner));
-            format!("{shield}{}", file.display())
-        }
-        _ => name.to_owned(),
     }
 }
 

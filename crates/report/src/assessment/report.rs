@@ -6,7 +6,7 @@ use super::gate_rules::{GateInputs, GateResult};
 use super::parts::{
     Argument, AssessmentComparison, AssessmentLimits, AssessmentProvenance, ClaimRow, ClaimSummary,
     DistinctFailure, EarlierAssessment, FirstPage, FirstPageSection, GatheredResults, Glossary,
-    RunInfo, SpaceDescriptions, Suites,
+    RunInfo, SpaceDescriptions, Suites, ViolatingScenarios,
 };
 use super::report_part::{ReportPart, ReportSection};
 use super::{
@@ -38,6 +38,9 @@ pub struct AssessmentReport {
     /// Results of simulations, searches and checks.
     #[serde(flatten)]
     pub results: GatheredResults,
+    /// Scenarios that violate claims; absent if there are none.
+    #[serde(default, skip_serializing_if = "ViolatingScenarios::is_empty")]
+    pub violations: ViolatingScenarios,
     /// Statistics of the scenario spaces.
     pub space_descriptions: SpaceDescriptions,
     /// Limits of the assessment.
@@ -108,6 +111,7 @@ impl AssessmentReport {
             claims: &claims,
             comparison: comparison.as_ref(),
         });
+        let violations = ViolatingScenarios::new(plan, &results, &evidence, &claims, &gates);
         let summary = ClaimSummary::new(plan, claims, gates);
         let limits = AssessmentLimits::new(plan);
         Self {
@@ -118,6 +122,7 @@ impl AssessmentReport {
             summary,
             evidence,
             results,
+            violations,
             space_descriptions: SpaceDescriptions::new(plan),
             limits,
             comparison,
@@ -163,6 +168,7 @@ impl AssessmentReport {
         let mut parts: Vec<&dyn ReportPart> = vec![&first_page, &self.summary];
         parts.extend(self.comparison.iter().map(|part| part as &dyn ReportPart));
         parts.extend(self.results.parts());
+        parts.push(&self.violations);
         let derived: [&dyn ReportPart; 4] = [
             &self.limits,
             &self.space_descriptions,
@@ -219,6 +225,7 @@ impl AssessmentReport {
         let mut files: Vec<(String, Vec<u8>)> = texts
             .map(|(name, text)| (name.to_owned(), text.into_bytes()))
             .chain(self.results.parts().iter().flat_map(|part| part.files()))
+            .chain(self.violations.files())
             .chain(command_files.map(|file| (file.file.clone(), file.contents.clone())))
             .collect();
         let contents = files
@@ -250,6 +257,7 @@ impl AssessmentReport {
         failures
             .flat_map(DistinctFailure::commands)
             .chain(suite_commands)
+            .chain(self.violations.commands())
     }
 }
 
@@ -272,8 +280,9 @@ pub(super) const REPORT_FILES: [&str; 6] = [
 ];
 
 /// Subfolders of a report whose files may differ between reports.
-pub const REPORT_FOLDERS: [&str; 6] = [
+pub const REPORT_FOLDERS: [&str; 7] = [
     "counterexamples/",
+    "violations/",
     "certificates/",
     "controllers/",
     "spaces/",

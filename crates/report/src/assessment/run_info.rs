@@ -10,9 +10,15 @@ use super::parts::RunInfo;
 
 impl RunInfo {
     /// Collects what is known of an assessment that ends now: time, machine, and the commit of the configuration in
-    /// `folder`, which git states. `program_sha256` is [`crumple_store::program::identity`].
+    /// `folder`, which git states. `program_sha256` is [`crumple_store::program::identity`], and `program_commit` the
+    /// commit from which the program was built, if its build states it.
     #[must_use]
-    pub fn collect(folder: &Path, program_sha256: &str, took: Duration) -> Self {
+    pub fn collect(
+        folder: &Path,
+        program_sha256: &str,
+        program_commit: Option<&str>,
+        took: Duration,
+    ) -> Self {
         let model = fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
             let line = text.lines().find(|line| line.starts_with("model name"))?;
             Some(format!(", {}", line.split_once(':')?.1.trim()))
@@ -24,6 +30,7 @@ impl RunInfo {
             at: utc::rfc_3339(SystemTime::now()),
             commit: git_commit(folder),
             program_sha256: program_sha256.to_owned(),
+            program_commit: program_commit.map(str::to_owned),
             machine: format!(
                 "{system} {processor}, {cores} cores{}",
                 model.unwrap_or_default()

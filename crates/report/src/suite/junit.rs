@@ -21,7 +21,7 @@ pub fn render_junit(result: &SuiteResult) -> String {
             ..JunitSuite::default()
         }
     });
-    junit::render_xml("crumple suite", &suites.collect::<Vec<_>>())
+    junit::render_xml("crumple suite", None, &suites.collect::<Vec<_>>())
 }
 
 fn junit_case(suite: &str, test: &TestResult, tested: &ControllerResult) -> JunitCase {

@@ -15,6 +15,19 @@ pub struct Evidence {
     pub strength: Strength,
     /// Source of the evidence.
     pub source: EvidenceSource,
+    /// First random scenario that violates the claim; absent without one, and for evidence of another kind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_violation: Option<RandomScenario>,
+}
+
+/// A random scenario of the space of a claim.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct RandomScenario {
+    /// Seed of the random scenarios.
+    pub seed: u64,
+    /// Index of the scenario, from 0.
+    pub index: u64,
 }
 
 /// The place of evidence in a report.
@@ -29,6 +42,12 @@ pub struct EvidenceSource {
     pub file: Option<String>,
     /// SHA-256 of the certificate in that file, in hexadecimal, as `crumple check` prints it.
     pub sha256: Option<String>,
+}
+
+impl RandomScenario {
+    pub(in crate::assessment) fn new(seed: u64, index: Option<u64>) -> Option<Self> {
+        index.map(|index| Self { seed, index })
+    }
 }
 
 impl EvidenceSource {

@@ -16,7 +16,7 @@ use crumple_sim::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 use super::Rounded;
-pub use evidence::{Evidence, EvidenceSource};
+pub use evidence::{Evidence, EvidenceSource, RandomScenario};
 pub use inference_rule::InferenceRule;
 pub use ledger::{ClaimStatus, Ledger, SecondaryEvidence};
 pub use level::StrengthLevel;

@@ -1,6 +1,6 @@
 //! Gates on collisions in scenarios of the paper, of files, and of a space.
 
-use super::{GateInputs, GateMetric, GateRule, GateVerdict, is_in_space, require};
+use super::{GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, require};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{Domain, Property};
 use crate::assessment::config::{EVERYDAY_SPACES, FOLLOWER_SPACES};
@@ -93,14 +93,23 @@ pub(super) fn in_space<'a>(
 ) -> GateRule<'a> {
     GateRule::new(
         format!("{controller}: no collision in random scenarios of `{space}`"),
-        GateMetric::none_of("random scenarios that fail or end early"),
+        GateMetric::percent("random scenarios that fail or end early", 0.0),
         simulated_space_problem(space, config),
         |inputs| check_no_collision_in_space(inputs, controller, space),
     )
     .about(|_, claim| {
         let is_drawn = matches!(claim.domain, Domain::Draws { .. });
-        claim.property == Property::NoCollision && is_drawn && is_in_space(claim, space)
+        claim.property == Property::NoCollision && is_drawn
     })
+}
+
+/// The random scenarios of a space that a controller drove.
+struct DrivenScenarios {
+    domain: Domain,
+    random_scenarios: u64,
+    ends: RunEnds,
+    /// Two-sided confidence level of intervals.
+    confidence: f64,
 }
 
 /// Evaluates the random scenarios of `distributions`, or the drives in `traffic`, `high-risk`, `followers` or
@@ -110,39 +119,67 @@ fn check_no_collision_in_space(
     controller: &str,
     space: &str,
 ) -> GateVerdict {
-    let usefulness = inputs.results.usefulness.as_ref();
-    let everyday = usefulness.and_then(|report| report.space_ends(controller, space));
-    let followers = inputs.results.followers.as_ref();
-    let with_followers = followers.and_then(|report| {
-        let counts = &report.find_space(space)?.find(controller)?.all;
-        Some((counts.random_scenarios, counts.ends.clone()))
-    });
-    let larger_sample = inputs
-        .sampled_ends(controller, space)
+    let samples = [
+        inputs.sampled_scenarios(controller, space),
+        inputs.everyday_scenarios(controller, space),
+        inputs.scenarios_with_followers(controller, space),
+    ];
+    let larger = samples
         .into_iter()
-        .chain(everyday)
-        .chain(with_followers)
-        .max_by_key(|(scenarios, _)| *scenarios);
-    match larger_sample {
-        Some((scenarios @ 1.., ends)) => {
-            let against = ends.failures() + ends.ended_by_others;
-            GateVerdict::new(against == 0, describe_ends(&ends, scenarios))
-                .with_value(against as f64)
-        }
-        _ => GateVerdict::fails("no random scenario of the space was simulated"),
-    }
+        .flatten()
+        .max_by_key(|driven| driven.random_scenarios)
+        .filter(|driven| driven.random_scenarios > 0);
+    let Some(driven) = larger else {
+        return GateVerdict::fails("no random scenario of the space was simulated");
+    };
+    let DrivenScenarios {
+        random_scenarios,
+        ends,
+        ..
+    } = &driven;
+    let against = ends.failures() + ends.ended_by_others;
+    let confidence = 0.5 * (1.0 + driven.confidence);
+    let interval = IndicatorInterval::of_share(against, *random_scenarios, confidence);
+    GateVerdict::new(against == 0, describe_ends(ends, *random_scenarios))
+        .with_value(100.0 * against as f64 / *random_scenarios as f64)
+        .with_interval(Some(interval))
+        .with_domain(driven.domain)
 }
 
 impl GateInputs<'_> {
-    /// Returns the number and the ends of the random scenarios of one of `distributions`.
-    fn sampled_ends(&self, controller: &str, space: &str) -> Option<(u64, RunEnds)> {
-        let mut spaces = self.plan.rate_spaces.iter();
-        let index = spaces.position(|named| named.name == space)?;
-        let sample = self.results.rate_spaces.spaces.get(index)?;
-        Some((
-            sample.random_scenarios,
-            sample.find(controller)?.ends.clone(),
-        ))
+    /// Returns the random scenarios of one of `distributions`.
+    fn sampled_scenarios(&self, controller: &str, space: &str) -> Option<DrivenScenarios> {
+        let sample = self.sample(space)?;
+        Some(DrivenScenarios {
+            domain: sample.draws_domain(),
+            random_scenarios: sample.random_scenarios,
+            ends: sample.find(controller)?.ends.clone(),
+            confidence: sample.confidence,
+        })
+    }
+
+    /// Returns the drives in `traffic` or `high-risk`.
+    fn everyday_scenarios(&self, controller: &str, space: &str) -> Option<DrivenScenarios> {
+        let report = self.results.usefulness.as_ref()?;
+        let index = EVERYDAY_SPACES.iter().position(|name| *name == space)?;
+        Some(DrivenScenarios {
+            domain: report.domains().get(index)?.clone(),
+            random_scenarios: report.random_scenarios,
+            ends: report.find(controller)?.ends(index),
+            confidence: report.confidence,
+        })
+    }
+
+    /// Returns the random scenarios of `followers` or `everyday`.
+    fn scenarios_with_followers(&self, controller: &str, space: &str) -> Option<DrivenScenarios> {
+        let space = self.results.followers.as_ref()?.find_space(space)?;
+        let counts = &space.find(controller)?.all;
+        Some(DrivenScenarios {
+            domain: space.domain(),
+            random_scenarios: counts.random_scenarios,
+            ends: counts.ends.clone(),
+            confidence: space.confidence,
+        })
     }
 }
 

@@ -8,7 +8,6 @@ use crate::assessment::AssessConfig;
 use crate::assessment::claims::{AssuranceClaim, Domain, MAX_GAIN, Property};
 use crate::assessment::config::{EVERYDAY_SPACE, TRAFFIC_SPACE};
 use crumple_core::field_error::FieldError;
-use crumple_evidence::RateInterval;
 use crumple_sim::engine::FailedControllerRuns;
 
 pub(super) fn unnecessary_braking_at_most<'a>(
@@ -139,10 +138,8 @@ fn check_drives_at_most(
     let note = counted.unanswered.map_or(String::new(), |failed| {
         format!("; {}", failed.describe(drives))
     });
-    let interval =
-        RateInterval::clopper_pearson(violating + unanswered, drives, counted.confidence);
     let confidence = 0.5 * (1.0 + counted.confidence);
-    let interval = IndicatorInterval::from_shares([interval.lower, interval.upper], confidence);
+    let interval = IndicatorInterval::of_share(violating + unanswered, drives, confidence);
     GateVerdict::new(
         share <= percent,
         format!("{violating} of {drives} drives{note}"),

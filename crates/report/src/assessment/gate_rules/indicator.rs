@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::assessment::rounded::Rounded;
+use crumple_evidence::RateInterval;
 
 /// A gate as a safety performance indicator: the metric, its threshold and its measured value.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -16,9 +17,10 @@ pub struct SafetyIndicator {
     pub threshold: Rounded<4>,
     /// Measured value; absent if nothing was measured.
     pub value: Option<Rounded<4>>,
-    /// Interval of the true value, for values that random scenarios estimate.
+    /// Interval of the true value, for rates and shares that random scenarios estimate.
     pub interval: Option<IndicatorInterval>,
-    /// Claim of the report that the gate is about; absent if there is none.
+    /// Claim of the report that the gate is about, on the runs that decide it; absent if there is none. A claim without
+    /// a limit allows no violation, where the threshold may allow some.
     pub claim: Option<String>,
 }
 
@@ -82,12 +84,52 @@ impl GateMetric {
 }
 
 impl IndicatorInterval {
+    /// Returns the exact interval, in percent, of the share of runs with an event, each bound at `confidence`.
+    pub(super) fn of_share(events: u64, runs: u64, confidence: f64) -> Self {
+        let interval = RateInterval::clopper_pearson(events, runs, 2.0 * confidence - 1.0);
+        Self::from_shares([interval.lower, interval.upper], confidence)
+    }
+
+    /// Returns an interval, in percent, of the difference of two shares of runs, each bound at `confidence`: half of
+    /// the error probability for the bound of each share, whatever the dependence of the runs.
+    pub(super) fn of_difference(
+        own: EventCount,
+        other: EventCount,
+        runs: u64,
+        confidence: f64,
+    ) -> Self {
+        let [own, other] = [own, other].map(|counted| counted.interval(runs, confidence));
+        Self::from_shares(
+            [own.lower - other.upper, own.upper - other.lower],
+            confidence,
+        )
+    }
+
     /// Creates an interval in percent from shares, rounded outwards.
-    pub(super) fn from_shares([lower, upper]: [f64; 2], confidence: f64) -> Self {
+    fn from_shares([lower, upper]: [f64; 2], confidence: f64) -> Self {
         Self {
             lower: Rounded::down(100.0 * lower),
             upper: Rounded::up(100.0 * upper),
             confidence_percent: Rounded::down(100.0 * confidence),
+        }
+    }
+}
+
+/// Number of runs with an event, and of further runs in which it is unknown.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct EventCount {
+    pub(super) events: u64,
+    pub(super) unknown: u64,
+}
+
+impl EventCount {
+    /// Returns the interval of the share of events; each bound has half of the error probability of `confidence`.
+    fn interval(self, runs: u64, confidence: f64) -> RateInterval {
+        let counted = RateInterval::clopper_pearson(self.events, runs, confidence);
+        let possible = self.events.saturating_add(self.unknown).min(runs);
+        RateInterval {
+            lower: counted.lower,
+            upper: RateInterval::clopper_pearson(possible, runs, confidence).upper,
         }
     }
 }

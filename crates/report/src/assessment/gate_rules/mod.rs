@@ -18,11 +18,11 @@ use serde::{Deserialize, Serialize};
 use super::claims::{AssuranceClaim, Domain};
 use super::gate::GateConfig;
 use super::{
-    AssessConfig, AssessmentComparison, AssessmentPlan, ClaimRow, GatheredResults, Ledger,
+    AssessConfig, AssessmentComparison, AssessmentPlan, ClaimRow, GatheredResults, Ledger, Rounded,
 };
 use crumple_core::field_error::FieldError;
 use crumple_core::quoting::TerminalText;
-use indicator::GateMetric;
+use indicator::{EventCount, GateMetric};
 pub use indicator::{IndicatorInterval, SafetyIndicator};
 
 /// Declares gates. A row has the gate, its name in a configuration, its fields, and its rule. Each field has a role:
@@ -246,6 +246,8 @@ struct GateVerdict {
     /// Value of the metric, and its interval.
     value: Option<f64>,
     interval: Option<IndicatorInterval>,
+    /// Domain of the deciding runs, if claims about several domains come into question.
+    domain: Option<Domain>,
 }
 
 /// The result of a gate.
@@ -263,6 +265,9 @@ pub struct GateResult {
     pub requirement: Vec<String>,
     /// Gate as a safety performance indicator.
     pub indicator: SafetyIndicator,
+    /// Claim of the report that the gate is about.
+    #[serde(skip)]
+    pub(super) claim: Option<AssuranceClaim>,
 }
 
 impl AssessmentGate {
@@ -289,6 +294,15 @@ impl AssessmentGate {
         gate
     }
 
+    /// Returns the space, as the configuration names it, and the limit of a gate on the failure rate.
+    pub(super) fn rate_limit(&self, config: &AssessConfig) -> Option<(String, Rounded<2>)> {
+        let Self::RateAtMost { percent, space, .. } = self else {
+            return None;
+        };
+        let space = rates::named_or_only(space, config);
+        Some((space, rates::claimed_percent(*percent)))
+    }
+
     /// Returns the first controller that the gate names, if it names one.
     fn controller(&self) -> Option<String> {
         let mut gate = self.clone();
@@ -306,7 +320,12 @@ impl GateConfig {
         let named = self.gate.with_space_names(inputs.plan);
         let named_rule = named.rule(config);
         let controller = named.controller();
-        let claim = controller.and_then(|name| named_rule.find_claim(&name, inputs));
+        let domain = verdict.domain.as_ref();
+        let about = controller.and_then(|name| named_rule.find_claim(&name, inputs, domain));
+        let claim = about.map(|(row, claim)| {
+            let controller = &claim.subject.controller.name;
+            format!("{controller}: {}", row.claim)
+        });
         GateResult {
             gate: named_rule.condition,
             holds: verdict.holds,
@@ -315,6 +334,7 @@ impl GateConfig {
             indicator: rule
                 .metric
                 .indicator(verdict.value, verdict.interval, claim),
+            claim: about.map(|(_, claim)| claim.clone()),
         }
     }
 }
@@ -343,12 +363,18 @@ impl<'a> GateRule<'a> {
         }
     }
 
-    /// Returns the claim about a controller that the gate is about, in words with its controller.
-    fn find_claim(&self, controller: &str, inputs: &GateInputs<'_>) -> Option<String> {
+    /// Returns the claim about a controller that the gate is about, and its row; in `domain`, if that is stated.
+    fn find_claim<'c>(
+        &self,
+        controller: &str,
+        inputs: &GateInputs<'c>,
+        domain: Option<&Domain>,
+    ) -> Option<(&'c ClaimRow, &'c AssuranceClaim)> {
         inputs.claims.iter().find_map(|row| {
             let mut claims = row.claims.iter().flatten();
             let claim = claims.find(|claim| claim.subject.controller.name == controller)?;
-            (self.is_about)(row, claim).then(|| format!("{controller}: {}", row.claim))
+            let is_in_domain = domain.is_none_or(|domain| claim.domain == *domain);
+            (is_in_domain && (self.is_about)(row, claim)).then_some((row, claim))
         })
     }
 }
@@ -360,6 +386,7 @@ impl GateVerdict {
             reason: reason.into(),
             value: None,
             interval: None,
+            domain: None,
         }
     }
 
@@ -374,6 +401,13 @@ impl GateVerdict {
         Self { interval, ..self }
     }
 
+    fn with_domain(self, domain: Domain) -> Self {
+        Self {
+            domain: Some(domain),
+            ..self
+        }
+    }
+
     fn holds(reason: impl Into<String>) -> Self {
         Self::new(true, reason)
     }
@@ -384,6 +418,11 @@ impl GateVerdict {
 }
 
 impl GateResult {
+    /// True for a gate that does not hold and is about a claim.
+    pub(super) fn is_failed_about(&self, claim: &AssuranceClaim) -> bool {
+        !self.holds && self.claim.as_ref() == Some(claim)
+    }
+
     /// Returns the result as a line for a terminal.
     pub(super) fn to_plain_text(&self) -> String {
         let verdict = if self.holds { "holds " } else { "FAILED" };

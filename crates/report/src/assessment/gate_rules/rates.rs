@@ -1,8 +1,8 @@
 //! Gates on failure rates.
 
 use super::{
-    GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space, require,
-    share_problem,
+    EventCount, GateInputs, GateMetric, GateRule, GateVerdict, IndicatorInterval, is_in_space,
+    require, share_problem,
 };
 use crate::assessment::claims::{AssuranceClaim, Domain, Property, RateBounds, Strength};
 use crate::assessment::{AssessConfig, ControllerSample, Rounded, SpaceSample};
@@ -23,7 +23,8 @@ pub(super) fn at_most<'a>(
         move |inputs| check_rate_at_most(inputs, controller, percent, &name),
     )
     .about(move |_, claim| {
-        matches!(claim.property, Property::RateAtMost { .. }) && is_in_space(claim, &own_name)
+        let percent = claimed_percent(percent);
+        claim.property == Property::RateAtMost { percent } && is_in_space(claim, &own_name)
     })
 }
 
@@ -34,12 +35,14 @@ pub(super) fn not_above<'a>(
     space: &'a Option<String>,
 ) -> GateRule<'a> {
     let name = named_or_only(space, config);
-    let own_name = name.clone();
     GateRule::new(
         format!(
             "{controller}: no more failures than {than} in the same random scenarios of `{name}`"
         ),
-        GateMetric::none_of("failures, less those of the other controller in the same scenarios"),
+        GateMetric::percent(
+            "failure rate, less that of the other controller in the same scenarios",
+            0.0,
+        ),
         itself_problem(controller, than)
             .or_else(|| require(config.draws > 0, "`draws` above 0"))
             .or_else(|| space_problem(space, config)),
@@ -47,7 +50,6 @@ pub(super) fn not_above<'a>(
     )
     .about(move |_, claim| {
         matches!(&claim.property, Property::FailsLessOften { than: other } if other.name == *than)
-            && is_in_space(claim, &own_name)
     })
 }
 
@@ -57,7 +59,7 @@ fn itself_problem(controller: &str, than: &str) -> Option<FieldError> {
 }
 
 /// Returns the space that a gate names, or else the first one of `distributions`.
-fn named_or_only(space: &Option<String>, config: &AssessConfig) -> String {
+pub(super) fn named_or_only(space: &Option<String>, config: &AssessConfig) -> String {
     let space = space.clone();
     space
         .or_else(|| config.rate_spaces().into_iter().next())
@@ -123,14 +125,18 @@ fn rate_claim(
     let index = controllers.position(|other| other.name == controller)?;
     Some(AssuranceClaim {
         subject: plan.claim_subject(index, plan.config.estimator)?,
-        // Round the required rate down, never in favour of the controller.
         property: Property::RateAtMost {
-            percent: Rounded::down(percent),
+            percent: claimed_percent(percent),
         },
         domain: Domain::Space {
             space: named.content_id.clone(),
         },
     })
+}
+
+/// Returns the limit of a claim for that of a gate, rounded down: never in favour of the controller.
+pub(super) fn claimed_percent(percent: f64) -> Rounded<2> {
+    Rounded::down(percent)
 }
 
 impl GateInputs<'_> {
@@ -140,7 +146,7 @@ impl GateInputs<'_> {
     }
 
     /// Returns the random scenarios of a space, if any were simulated.
-    fn sample(&self, space: &str) -> Option<&SpaceSample> {
+    pub(super) fn sample(&self, space: &str) -> Option<&SpaceSample> {
         let sample = self
             .results
             .rate_spaces
@@ -166,7 +172,7 @@ fn check_rate_not_above(
             let counted = is_answered.then(|| compare_counts(inputs, controller, than, space));
             counted
                 .flatten()
-                .unwrap_or_else(|| compare_samples(own, other, sample.random_scenarios))
+                .unwrap_or_else(|| compare_samples(own, other, sample))
         }
         _ => GateVerdict::fails("it has no run in this space"),
     }
@@ -190,15 +196,25 @@ fn compare_counts(
         "of the same {} counted runs, only {controller} fails in {own}, only {than} in {other}",
         counted.runs
     );
-    Some(GateVerdict::new(own <= other, reason).with_value(own as f64 - other as f64))
+    let [own_count, other_count] = [own, other].map(|events| EventCount { events, unknown: 0 });
+    let interval =
+        IndicatorInterval::of_difference(own_count, other_count, counted.runs, counted.confidence);
+    let space = named.content_id.clone();
+    Some(
+        GateVerdict::new(own <= other, reason)
+            .with_value(percent_difference([own, other], counted.runs))
+            .with_interval(Some(interval))
+            .with_domain(Domain::Space { space }),
+    )
 }
 
 /// Counts a run that ended early against the controller.
 fn compare_samples(
     own: &ControllerSample,
     other: &ControllerSample,
-    scenarios: u64,
+    sample: &SpaceSample,
 ) -> GateVerdict {
+    let scenarios = sample.random_scenarios;
     let own = &own.ends;
     let other = &other.ends;
     let mut reason = format!(
@@ -223,6 +239,23 @@ fn compare_samples(
     let is_known = own.ended_by_others < scenarios && other.unanswered_runs() < scenarios;
     let against = own.failures() + own.ended_by_others;
     let is_not_above = against <= other.collisions;
+    let own_count = EventCount {
+        events: own.failures(),
+        unknown: own.ended_by_others,
+    };
+    let other_count = EventCount {
+        events: other.collisions,
+        unknown: other.unanswered_runs() + other.ended_by_others,
+    };
+    let confidence = 0.5 * (1.0 + sample.confidence);
+    let interval = IndicatorInterval::of_difference(own_count, other_count, scenarios, confidence);
     GateVerdict::new(is_known && is_not_above, reason)
-        .with_value(against as f64 - other.collisions as f64)
+        .with_value(percent_difference([against, other.collisions], scenarios))
+        .with_interval(Some(interval))
+        .with_domain(sample.draws_domain())
+}
+
+/// Returns the difference of two counts, as a share of the runs in percent.
+fn percent_difference([own, other]: [u64; 2], runs: u64) -> f64 {
+    100.0 * (own as f64 - other as f64) / runs as f64
 }

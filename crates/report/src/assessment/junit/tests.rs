@@ -1,11 +1,13 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::*;
 use crate::assessment::{
     AssessConfig, AssessmentGate, AssessmentPlan, EvidenceCache, GateConfig, assess,
 };
+use crumple_controllers::find_built_in;
 use crumple_core::observer::Quiet;
-use crumple_sim::scenario::{built_in_scenario, built_in_scenario_names, file};
+use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_sim::scenario::{NoDriverFiles, built_in_scenario, built_in_scenario_names, file};
 
 /// The baseline fails in the paper's scenarios, and in a copy of one of them in a file.
 #[test]
@@ -53,7 +55,75 @@ fn a_failed_gate_names_a_scenario_of_its_own_claim() {
     };
     assert_eq!(in_paper.status, JunitStatus::Failed, "{in_paper:?}");
     assert_eq!(in_files.status, JunitStatus::Failed, "{in_files:?}");
-    // The report has no file of the paper's scenarios.
-    assert_eq!(in_paper.file, None);
+    assert_eq!(in_paper.file.as_deref(), Some("violations/paper-1.toml"));
     assert_eq!(in_files.file.as_deref(), Some("scenarios/copy.toml"));
+}
+
+/// A failed gate on counted runs, and one on random scenarios, is about a claim on the same runs, and names a scenario
+/// of them that fails.
+#[test]
+fn a_failed_gate_on_runs_names_the_runs_that_decide_it() {
+    let controller = "baseline".to_owned();
+    let space = Some("paper".to_owned());
+    let gates = [
+        AssessmentGate::RateNotAbove {
+            controller: controller.clone(),
+            than: "idm".to_owned(),
+            space: space.clone(),
+        },
+        AssessmentGate::NoCollisionInSpace {
+            controller: controller.clone(),
+            space: "paper".to_owned(),
+        },
+        AssessmentGate::RateAtMost {
+            controller: controller.clone(),
+            percent: 0.5,
+            space,
+        },
+    ];
+    let mut config = AssessConfig {
+        controllers: vec!["idm".to_owned(), controller.clone()],
+        subject: Some(controller),
+        gates: gates.map(GateConfig::from).into(),
+        draws: 20,
+        everyday_draws: 0,
+        certificates: Some(Vec::new()),
+        ..AssessConfig::default()
+    };
+    (config.rates.runs, config.search.spaces) = (200, Some(Vec::new()));
+    let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
+    let report = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
+    let seed_of_counts = 0x5eed;
+    let expected = [
+        (
+            "fewer failures than idm in the distribution of `paper`",
+            seed_of_counts,
+        ),
+        ("no collision in 20 random scenarios of `paper` (seed 0)", 0),
+        (
+            "failure rate at most 0.5 % in the distribution of `paper`",
+            0,
+        ),
+    ];
+    for (gate, (claim, seed)) in report.summary.gates.iter().zip(expected) {
+        assert!(!gate.holds, "{gate:?}");
+        let stated = format!("baseline: {claim}");
+        assert_eq!(gate.indicator.claim.as_deref(), Some(stated.as_str()));
+        let interval = gate.indicator.interval.unwrap();
+        let value = gate.indicator.value.unwrap().value();
+        assert!(
+            interval.lower.value() <= value && value <= interval.upper.value(),
+            "{gate:?}"
+        );
+        let file = report.gate_case(gate).file.unwrap();
+        assert_eq!(file, format!("violations/paper-{seed}-0.toml"));
+        let files = report.files().unwrap();
+        let (_, contents) = files.iter().find(|(path, _)| *path == file).unwrap();
+        let text = std::str::from_utf8(contents).unwrap();
+        let scenario = file::from_toml(text, Path::new(&file), &NoDriverFiles).unwrap();
+        let baseline = find_built_in("baseline").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(baseline.source)).unwrap();
+        let outcome = simulate(&run, RecordingLevel::Summary).outcome;
+        assert!(outcome.collision().is_some(), "{file}");
+    }
 }

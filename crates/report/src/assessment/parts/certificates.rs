@@ -12,7 +12,7 @@ use super::certificate_subject::{certificate_subject, describe_statement, includ
 use super::rate_certificates::{planned_rate_counts, recount_controllers, unbounded_status};
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property,
-    Strength, Subject,
+    RandomScenario, Strength, Subject,
 };
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::file_stem;
@@ -58,6 +58,9 @@ pub struct CheckedCertificate {
     /// Statement, if it is about a rate and counts only failures of the controller.
     #[serde(skip)]
     rate: Option<RateClaim>,
+    /// First counted run that this assessment found to violate the statement.
+    #[serde(skip)]
+    pub(super) first_violation: Option<RandomScenario>,
 }
 
 /// Counted runs that two controllers made in the same scenarios.
@@ -66,6 +69,8 @@ pub(in crate::assessment) struct CountedPairs {
     /// Runs in which only the first, and only the second, failed.
     pub(in crate::assessment) only_one_failed: [u64; 2],
     pub(in crate::assessment) runs: u64,
+    /// Confidence level of the comparison.
+    pub(in crate::assessment) confidence: f64,
 }
 
 /// The result of checking a certificate.
@@ -260,6 +265,7 @@ impl CheckedCertificate {
             claim: (**claim).clone(),
             strength: strength.clone(),
             source: self.source(),
+            first_violation: self.first_violation,
         };
         std::iter::once(own)
             .chain(self.counted_runs_evidence(claim))
@@ -285,6 +291,7 @@ impl CheckedCertificate {
         (is_same_pair && is_in_space && !is_rejected).then_some(CountedPairs {
             only_one_failed: [comparison.only_first_failed, comparison.only_second_failed],
             runs: comparison.registration.runs,
+            confidence: comparison.registration.confidence,
         })
     }
 
@@ -309,6 +316,7 @@ impl CheckedCertificate {
             claim,
             strength: Strength::from_counts(rate.failures, draws),
             source: self.source(),
+            first_violation: self.first_violation,
         })
     }
 
@@ -398,6 +406,7 @@ pub(super) fn check_certificate(
             .then(|| certificate.statement.clone()),
         text,
         name,
+        first_violation: None,
     })
 }
 
@@ -431,6 +440,7 @@ pub(super) fn evidence(plan: &AssessmentPlan, proofs: &[CheckedCertificate]) -> 
                     certificates: certificates.len(),
                 },
                 source,
+                first_violation: None,
             });
         }
     }

@@ -220,6 +220,10 @@ const NEW_FAILURE: &str = "new failure";
 /// Maximum number of worse results on a terminal.
 const MAX_WORSE_LINES: usize = 20;
 
+fn is_own_result(fact: &Fact) -> bool {
+    !fact.is_restated
+}
+
 fn changes_of_kind(
     changes: &[(ChangeKind, AssessmentChange)],
     wanted: ChangeKind,
@@ -248,12 +252,14 @@ impl AssessmentComparison {
     fn from_facts(earlier: &EarlierAssessment, facts: &Facts, same_configuration: bool) -> Self {
         let present = facts
             .iter()
-            .map(|(key, fact)| compare_fact(key, earlier.facts.get(key), fact));
+            .map(|(key, fact)| (key, earlier.facts.get(key), fact))
+            .filter(|(_, before, now)| !now.is_restated || before.is_some_and(is_own_result))
+            .map(|(key, before, now)| compare_fact(key, before, now));
         let present: Vec<(ChangeKind, AssessmentChange)> = present.collect();
         let gone = earlier
             .facts
             .iter()
-            .filter(|(key, _)| !facts.contains_key(*key))
+            .filter(|(key, fact)| !facts.contains_key(*key) && is_own_result(fact))
             .map(|((what, _), fact)| AssessmentChange::new(what, Some(fact), None));
         let mut worse = changes_of_kind(&present, ChangeKind::Worse);
         worse.sort_by_key(|change| !change.is_new_collision);

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::first_scenarios::FirstScenarios;
 use super::sampling::simulate_each;
 use super::share::PercentInterval;
 use super::{ControllerUsefulness, OscillationGain, SpaceBraking};
@@ -188,6 +189,7 @@ impl ControllerUsefulness {
             rms_jerk_mps3: measures.mean(|drive| drive.rms_jerk_mps3),
             induced_brake_mps2: measures.mean(|drive| drive.induced?.peak_brake_mps2),
             oscillation_gain,
+            first: [drives, danger].map(FirstScenarios::from_drives),
             braking_by_space: [drives, danger]
                 .into_iter()
                 .zip(EVERYDAY_SPACES)

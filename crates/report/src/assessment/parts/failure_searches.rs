@@ -196,7 +196,7 @@ const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.
 
 impl SpaceSearches {
     fn write(&self, out: &mut ReportDocument) {
-        out.heading(format!("Space {}", self.name));
+        out.heading(format!("Space {}", self.content_id.name));
         out.table(self.table());
         for search in &self.controllers {
             search.write_details(out);
@@ -268,6 +268,7 @@ impl FailureSearch {
                 domain,
             },
             strength: self.strength(),
+            first_violation: None,
             source: EvidenceSource::from_part(ANCHOR, description),
         }
     }

@@ -6,12 +6,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::everyday_drives::EverydayDrive;
+use super::first_scenarios::FirstScenarios;
 use super::sampling::{batches, draw_scenarios};
 use super::share::{CONFIDENCE, PercentInterval};
 use super::usefulness::{drive_each, space_id};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, RandomScenario,
+    Strength, Subject,
 };
 use crate::assessment::config::{EVERYDAY_SPACE, FOLLOWER_SPACES};
 use crate::assessment::document::ReportDocument;
@@ -63,6 +65,9 @@ pub struct ControllerFollowers {
     pub all: KindCounts,
     /// Results with each kind of follower.
     pub by_kind: BTreeMap<String, KindCounts>,
+    /// First scenarios that violate a claim.
+    #[serde(default, skip_serializing_if = "FirstScenarios::is_empty")]
+    pub first: FirstScenarios,
 }
 
 /// Counts of random scenarios of one controller.
@@ -136,6 +141,7 @@ impl FollowerSpace {
                 controller: controller.name.clone(),
                 all: KindCounts::default(),
                 by_kind: BTreeMap::new(),
+                first: FirstScenarios::default(),
             })
             .collect();
         for indices in batches(count) {
@@ -162,7 +168,7 @@ impl FollowerSpace {
         })
     }
 
-    fn domain(&self) -> Domain {
+    pub(in crate::assessment) fn domain(&self) -> Domain {
         Domain::Draws {
             space: self.space.clone(),
             seed: self.seed,
@@ -201,6 +207,7 @@ impl FollowerSpace {
         let strengths = self.strengths(&results.all).into_iter();
         strengths
             .map(|(property, strength)| Evidence {
+                first_violation: RandomScenario::new(self.seed, results.first.violating(&property)),
                 claim: AssuranceClaim {
                     subject: subject.clone(),
                     property,
@@ -246,9 +253,10 @@ impl FollowerSpace {
                 ))
             })
         } else {
-            let heading = format!("failures in {space} (%)");
+            let heading = format!("failures (%); hard unnecessary braking, in {space}");
             self.kind_table(&heading, |counts| {
-                ReportCell::number(counts.failure_percent().observed)
+                let percent = counts.failure_percent().observed;
+                ReportCell::number(format!("{percent}; {}", counts.hard_braking))
             })
         }
     }
@@ -309,6 +317,7 @@ impl FollowerSpace {
 
 impl ControllerFollowers {
     fn add(&mut self, drive: &EverydayDrive, kind: &str) {
+        self.first.add_drive(self.all.random_scenarios, drive);
         self.all.add(drive);
         self.by_kind.entry(kind.to_owned()).or_default().add(drive);
     }

@@ -14,6 +14,7 @@ mod everyday_drives;
 mod failure_search;
 mod failure_searches;
 mod file_scenarios;
+mod first_scenarios;
 mod follower_kinds;
 mod glossary;
 mod harm;
@@ -35,6 +36,7 @@ mod suite_json;
 mod suites;
 mod summary;
 mod usefulness;
+mod violations;
 
 pub(super) use answer::FirstPageSection;
 pub use answer::{FirstPage, SafetyAnswer};
@@ -47,6 +49,7 @@ pub use distinct_failure::{DistinctFailure, EscapeFile, MethodResult};
 pub use failure_search::FailureSearch;
 pub use failure_searches::SpaceSearches;
 pub(super) use file_scenarios::{ANCHOR as FILE_SCENARIOS_ANCHOR, SCENARIO_FOLDER, scenario_path};
+pub use first_scenarios::FirstScenarios;
 pub use follower_kinds::{ControllerFollowers, FollowerSpace, KindCounts};
 pub use glossary::Glossary;
 pub(super) use harm::HARM_RUNS_FILE;
@@ -64,6 +67,9 @@ pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescri
 pub use suites::{PlannedSuiteResult, SuiteFailure, SuiteOutcome};
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
 pub use usefulness::{ControllerUsefulness, SpaceBraking};
+pub use violations::{ViolatingScenario, ViolatingScenarios};
+
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
@@ -85,17 +91,27 @@ macro_rules! gathered_results {
             $($(#[$attribute])* pub $field: $type,)*
             /// Proved claims.
             pub proofs: Proofs,
+            /// Measured times, which no evidence depends on.
+            #[serde(skip)]
+            pub(super) part_times: PartTimes,
         }
 
         impl GatheredResults {
             pub(super) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
-                $(let $field = $part::gather(work)?;)*
+                let mut part_times = PartTimes::default();
+                $(
+                    let begun = Instant::now();
+                    let $field = $part::gather(work)?;
+                    part_times.add(as_part::<$part>(&$field), begun.elapsed());
+                )*
                 let certified: Vec<&dyn ReportPart> = [$(as_part::<$part>(&$field)),*]
                     .into_iter()
                     .flatten()
                     .collect();
+                let begun = Instant::now();
                 let proofs = Proofs::gather(work, &certified)?;
-                Ok(Self { $($field,)* proofs })
+                part_times.add(Some(&proofs), begun.elapsed());
+                Ok(Self { $($field,)* proofs, part_times })
             }
 
             /// Returns the approximate number of runs that a plan needs for all parts.
@@ -135,6 +151,24 @@ gathered_results! {
     /// Every controller on recorded drives; absent if the configuration names none.
     #[serde(skip_serializing_if = "Option::is_none")]
     recorded_drives::RecordedDrives => recorded_drives: Option<RecordedDrives>,
+}
+
+/// Measured time of gathering each part, by the anchor of the part.
+#[derive(Debug, Clone, Default)]
+pub(super) struct PartTimes(Vec<(&'static str, Duration)>);
+
+impl PartTimes {
+    fn add(&mut self, part: Option<&dyn ReportPart>, time: Duration) {
+        self.0
+            .extend(part.map(|part| (part.heading().anchor, time)));
+    }
+
+    /// Returns the time of a part in seconds.
+    pub(super) fn find_s(&self, anchor: &str) -> Option<f64> {
+        let mut times = self.0.iter();
+        let (_, time) = times.find(|(part, _)| *part == anchor)?;
+        Some(time.as_secs_f64())
+    }
 }
 
 /// Returns a field as a part; `None` if it is absent.

@@ -6,8 +6,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_block::{ParagraphStyle, ReportBlock};
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash};
-use crumple_controllers::Controllers;
+use crate::assessment::{AssessConfig, AssessmentPlan, CommandFile, EvidenceCache, EvidenceHash};
 use crumple_core::digest::sha256;
 
 /// The time, program and machine of an assessment. No evidence depends on them.
@@ -20,6 +19,9 @@ pub struct RunInfo {
     pub commit: Option<String>,
     /// SHA-256 of the program.
     pub program_sha256: String,
+    /// Commit from which the program was built, if its build states it. JSON has it in `identity`.
+    #[serde(skip)]
+    pub program_commit: Option<String>,
     /// System and processor.
     pub machine: String,
     /// Duration in whole seconds.
@@ -49,8 +51,13 @@ pub struct AssessmentProvenance {
 }
 
 impl AssessmentProvenance {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, cache: &EvidenceCache) -> Self {
-        // `Debug` writes every field of both, and unlike a serializer cannot fail.
+    /// `configuration` is the file in the report folder, which does not depend on where the assessed files are.
+    pub(in crate::assessment) fn new(
+        plan: &AssessmentPlan,
+        cache: &EvidenceCache,
+        configuration: &CommandFile,
+    ) -> Self {
+        // `Debug` writes every field, and unlike a serializer cannot fail.
         let scenarios = plan
             .file_scenarios
             .iter()
@@ -60,13 +67,8 @@ impl AssessmentProvenance {
             .iter()
             .chain(&plan.search_spaces)
             .map(|named| named.text.clone());
-        let config = AssessConfig {
-            // A permission determines no result.
-            controllers_of_files: Controllers::default(),
-            ..plan.config.clone()
-        };
-        let config = std::iter::once(format!("{config:?}"));
-        let inputs = config
+        let config = String::from_utf8_lossy(&configuration.contents).into_owned();
+        let inputs = std::iter::once(config)
             .chain(scenarios)
             .chain(spaces)
             .collect::<Vec<_>>()
@@ -77,7 +79,7 @@ impl AssessmentProvenance {
             config_sha256: sha256(&inputs),
             absent_controllers: plan
                 .controllers_outside_report()
-                .map(str::to_owned)
+                .map(|controller| plan.controller_entry(controller).to_owned())
                 .collect(),
             evidence: cache.hashes(),
             run_info: None,

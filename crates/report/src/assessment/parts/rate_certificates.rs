@@ -1,18 +1,20 @@
 //! Runs that are counted for certificates of a report.
 
 use crumple_verify::{Certificate, RateClaim, Registration, Statement};
+use serde::{Deserialize, Serialize};
 
 use super::certificate_subject::includes_others;
 use super::certificates::{
     CertificateStatus, CheckedCertificate, check_certificate, rate_strength,
 };
-use crate::assessment::claims::Strength;
+use super::sampling::{draw_scenarios, simulate_each};
+use crate::assessment::claims::{RandomScenario, Strength};
 use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
-use crumple_evidence::{RateConfig, RatePlan, Rerun, shipped_kernels};
-use crumple_sim::engine::NamedController;
+use crumple_evidence::{CountTally, RateConfig, RatePlan, Rerun, shipped_kernels};
+use crumple_sim::engine::{NamedController, Outcome, RecordingLevel, RunOptions};
 
 /// Mask of the seed of counted runs, so that it differs from the seed of the reported samples.
 pub(super) const COUNT_SEED_MASK: u64 = 0x5eed;
@@ -100,25 +102,27 @@ impl PlannedRateCount<'_> {
         work: &GatherContext<'_>,
     ) -> Result<CheckedCertificate, AssessError> {
         let plan = work.plan;
+        let seed = plan.config.seed ^ COUNT_SEED_MASK;
         let rates = RatePlan::new(RateConfig {
-            second_controller: self.against,
-            seed: plan.config.seed ^ COUNT_SEED_MASK,
+            second_controller: self.against.clone(),
+            seed,
             estimator: plan.config.estimator,
             confidence: plan.config.rates.confidence,
             ..RateConfig::new(
-                self.controller,
+                self.controller.clone(),
                 self.space.space.clone(),
                 plan.config.rates.runs,
             )
         })?;
-        let entry: String = work.get_or_gather(&self.name, rates.registration(), || {
-            count_runs(&rates, plan.config.rates.runs, work)
+        let counted: CountedRuns = work.get_or_gather(&self.name, rates.registration(), || {
+            self.count_runs(&rates, work)
         })?;
-        let (text, unanswered) = entry.split_once('\n').unwrap_or((&entry, ""));
-        let certificate = Certificate::from_json(text)
+        let certificate = Certificate::from_json(&counted.certificate)
             .map_err(|error| AssessError::Certificate(error.to_string()))?;
         let mut proof = check_certificate(plan, self.name, &certificate, None)?;
+        proof.first_violation = RandomScenario::new(seed, counted.first_violation);
         let counts_others = includes_others(plan, &certificate.statement);
+        let unanswered = &counted.unanswered;
         if let Some(status) = not_shown_status(&certificate.statement, counts_others, unanswered)
             .filter(|_| !proof.is_accepted())
         {
@@ -126,25 +130,75 @@ impl PlannedRateCount<'_> {
         }
         Ok(proof)
     }
+
+    fn count_runs(
+        &self,
+        rates: &RatePlan,
+        work: &GatherContext<'_>,
+    ) -> Result<CountedRuns, AssessError> {
+        let mut tally = rates.empty_tally();
+        while tally.runs < work.plan.config.rates.runs {
+            let before = tally.runs;
+            rates.count_batch(&mut tally)?;
+            work.add_runs(tally.runs - before)?;
+        }
+        let certificate = rates.certificate(&tally);
+        Ok(CountedRuns {
+            certificate: serde_json::to_string(&certificate).map_err(CacheError::encoding)?,
+            unanswered: tally.missing_answers_summary(),
+            first_violation: self.find_violation(rates, &tally, work.plan)?,
+        })
+    }
+
+    /// Returns the index of the first run in which the controller failed and, if there is another one, that did not.
+    /// Simulates the runs of one block again, because a tally has only their counts.
+    fn find_violation(
+        &self,
+        rates: &RatePlan,
+        tally: &CountTally,
+        plan: &AssessmentPlan,
+    ) -> Result<Option<u64>, AssessError> {
+        let mut blocks = tally.blocks.iter();
+        let block = blocks.position(|block| match self.against {
+            Some(_) => block.only_first_failed > 0,
+            None => block.failures > 0,
+        });
+        let Some(block) = block else {
+            return Ok(None);
+        };
+        let runs = rates.run_range(block as u64);
+        let seed = plan.config.seed ^ COUNT_SEED_MASK;
+        let scenarios = draw_scenarios(&self.space.space, seed, runs.clone())?;
+        let fails = |controller: &NamedController| {
+            let options =
+                RunOptions::new(controller.source.clone()).with_estimator(plan.config.estimator);
+            simulate_each(
+                &scenarios,
+                &options,
+                RecordingLevel::Summary,
+                |_, simulated| !matches!(simulated.outcome, Outcome::NoCollision),
+            )
+        };
+        let own = fails(&self.controller)?;
+        let other = match &self.against {
+            Some(against) => fails(against)?,
+            None => vec![false; own.len()],
+        };
+        let mut failures = runs.zip(own.into_iter().zip(other));
+        let first = failures.find(|(_, (own, other))| *own && !*other);
+        Ok(first.map(|(index, _)| index))
+    }
 }
 
-/// Counts the runs, and returns the certificate. A second line names the controllers that gave no answer, if any.
-fn count_runs(
-    rates: &RatePlan,
-    runs: u64,
-    work: &GatherContext<'_>,
-) -> Result<String, AssessError> {
-    let mut tally = rates.empty_tally();
-    while tally.runs < runs {
-        let before = tally.runs;
-        rates.count_batch(&mut tally)?;
-        work.add_runs(tally.runs - before)?;
-    }
-    let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
-    Ok(match tally.missing_answers_summary() {
-        unanswered if unanswered.is_empty() => text,
-        unanswered => format!("{text}\n{unanswered}"),
-    })
+/// Counted runs, in the form of the cache.
+#[derive(Serialize, Deserialize)]
+struct CountedRuns {
+    /// Text of the certificate.
+    certificate: String,
+    /// Controllers that gave no answer, in words; empty if there are none.
+    unanswered: String,
+    /// Index of the first run that violates the statement.
+    first_violation: Option<u64>,
 }
 
 /// Returns the controllers, as arguments in the report folder, with which `check --rerun` repeats the counts of a

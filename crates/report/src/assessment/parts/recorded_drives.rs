@@ -288,6 +288,7 @@ impl RecordedDrives {
                 domain: self.domain(),
             },
             strength,
+            first_violation: None,
             source: EvidenceSource::from_part(ANCHOR, format!("{} drives", self.count)),
         })
     }

@@ -6,12 +6,14 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use super::first_scenarios::FirstScenarios;
 use super::proofs;
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure, ShareMark};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, RandomScenario,
+    Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::{describe_followers, follower_drivers};
@@ -79,6 +81,9 @@ pub struct ControllerSample {
     pub mean_impact_speed_mps: Option<Rounded<1>>,
     /// Comparison with the first controller on the same scenarios; absent for the first itself.
     pub paired: Option<PairedCounts>,
+    /// First scenarios that violate a claim.
+    #[serde(default, skip_serializing_if = "FirstScenarios::is_empty")]
+    pub first: FirstScenarios,
 }
 
 /// A paired comparison of two controllers. Scenarios in which the first gave no answer are not in `only_first`.
@@ -154,7 +159,7 @@ impl SpaceSamples {
 }
 
 impl SpaceSample {
-    fn draws_domain(&self) -> Domain {
+    pub(in crate::assessment) fn draws_domain(&self) -> Domain {
         Domain::Draws {
             space: self.space.clone(),
             seed: self.seed,
@@ -179,7 +184,12 @@ impl SpaceSample {
                     than: first.controller.clone(),
                 };
                 let strength = sampled.strength_against(first_sampled, self.random_scenarios);
-                evidence.push(self.piece_of_evidence(subject, than, self.draws_domain(), strength));
+                let claim = AssuranceClaim {
+                    subject: subject.clone(),
+                    property: than,
+                    domain: self.draws_domain(),
+                };
+                evidence.push(self.piece_of_evidence(claim, strength, &sampled.first));
             }
         }
         evidence
@@ -191,48 +201,39 @@ impl SpaceSample {
         let others_clear = Strength::from_counts(sampled.ends.ended_by_others, runs);
         let rate = sampled.rate_strength(self);
         [
-            self.piece_of_evidence(
-                subject,
-                Property::NoCollision,
-                self.draws_domain(),
-                no_collision,
-            ),
-            self.piece_of_evidence(
-                subject,
-                Property::OthersKeepClear,
-                self.draws_domain(),
-                others_clear,
-            ),
-            self.piece_of_evidence(subject, Property::FailureRate, self.space_domain(), rate),
+            (Property::NoCollision, self.draws_domain(), no_collision),
+            (Property::OthersKeepClear, self.draws_domain(), others_clear),
+            (Property::FailureRate, self.space_domain(), rate),
         ]
+        .map(|(property, domain, strength)| {
+            let claim = AssuranceClaim {
+                subject: subject.clone(),
+                property,
+                domain,
+            };
+            self.piece_of_evidence(claim, strength, &sampled.first)
+        })
     }
 
     fn piece_of_evidence(
         &self,
-        subject: &Subject,
-        property: Property,
-        domain: Domain,
+        claim: AssuranceClaim,
         strength: Strength,
+        first: &FirstScenarios,
     ) -> Evidence {
         let description = format!(
             "{} random scenarios, seed {}",
             self.random_scenarios, self.seed
         );
         Evidence {
-            claim: AssuranceClaim {
-                subject: subject.clone(),
-                property,
-                domain,
-            },
+            first_violation: RandomScenario::new(self.seed, first.violating(&claim.property)),
+            claim,
             strength,
             source: EvidenceSource::from_part(ANCHOR, description),
         }
     }
 
     fn claims(&self, plan: &AssessmentPlan, named: &NamedSpace) -> Vec<ClaimDraft> {
-        let rare = Property::RateAtMost {
-            percent: Rounded::new(RARE_PERCENT),
-        };
         let mut claims = vec![ClaimDraft::about_all(
             plan,
             ANCHOR,
@@ -247,12 +248,15 @@ impl SpaceSample {
                 self.draws_domain(),
             ));
         }
-        claims.push(ClaimDraft::about_all(
-            plan,
-            ANCHOR,
-            rare,
-            self.space_domain(),
-        ));
+        for percent in claimed_percents(plan, named) {
+            let at_most = Property::RateAtMost { percent };
+            claims.push(ClaimDraft::about_all(
+                plan,
+                ANCHOR,
+                at_most,
+                self.space_domain(),
+            ));
+        }
         if let Some(first) = plan.claim_subject(0, plan.config.estimator) {
             let fewer = Property::FailsLessOften {
                 than: first.controller,
@@ -442,6 +446,20 @@ impl SpaceSample {
     }
 }
 
+/// Returns the limits of the failure rate in a space that the report claims: the rare one, and those of gates.
+fn claimed_percents(plan: &AssessmentPlan, named: &NamedSpace) -> Vec<Rounded<2>> {
+    let mut percents = vec![Rounded::new(RARE_PERCENT)];
+    for config in &plan.config.gates {
+        if let Some((space, percent)) = config.gate.rate_limit(&plan.config)
+            && space == named.name
+            && !percents.contains(&percent)
+        {
+            percents.push(percent);
+        }
+    }
+    percents
+}
+
 /// Divides random scenarios into batches: enough to use all cores, and few enough for memory.
 pub(super) fn batches(draws: u64) -> impl Iterator<Item = Range<u64>> {
     (0..draws)
@@ -523,14 +541,17 @@ struct SampleTally {
     impacts: u64,
     min_gaps_m: [Option<f64>; 2],
     paired: PairedCounts,
+    first: FirstScenarios,
 }
 
 impl SampleTally {
     /// Adds runs; `first` are those of the first controller in the same scenarios.
     fn add(&mut self, runs: &[RunSummary], first: &[RunSummary]) {
         for (run, first) in runs.iter().zip(first) {
+            let index = self.random_scenarios;
             self.random_scenarios += 1;
             self.ends.add(&run.verdict);
+            self.first.add_verdict(index, &run.verdict);
             if let Some(impact_speed_mps) =
                 run.impact_speed_mps.filter(|_| run.verdict.is_failure())
             {
@@ -545,7 +566,10 @@ impl SampleTally {
             }
             match (first.verdict.is_failure(), run.verdict.is_failure()) {
                 (true, true) => self.paired.both += 1,
-                (false, true) => self.paired.only_this += 1,
+                (false, true) => {
+                    self.paired.only_this += 1;
+                    self.first.add_only_this(index);
+                }
                 // A scenario without an answer of the first controller does not count in favour of this sampled.
                 (true, false) if first.verdict.unanswered().is_none() => {
                     self.paired.only_first += 1
@@ -566,6 +590,7 @@ impl SampleTally {
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.impacts > 0).then(|| mean_impact_mps.into()),
             paired: is_paired.then_some(self.paired),
+            first: self.first,
         }
     }
 }

@@ -42,7 +42,7 @@ pub struct ScenarioCases {
     pub cases: Vec<CaseResult>,
     /// Scenario with the names of its vehicles, for figures.
     #[serde(skip)]
-    full_scenario: Scenario,
+    pub(super) full_scenario: Scenario,
     #[serde(skip)]
     labels: Vec<String>,
     /// Certificate of the claims of `avoidance` about every driver.
@@ -83,6 +83,7 @@ fn evidence_about(
             domain: domain(scenarios, part),
         },
         strength: ends.strength(runs),
+        first_violation: None,
         source: EvidenceSource::from_part(part, description),
     }
 }

@@ -531,6 +531,7 @@ impl PlannedSuiteResult {
             return Evidence {
                 claim,
                 strength: tests_strength,
+                first_violation: None,
                 source: EvidenceSource::from_part(ANCHOR, description),
             };
         }
@@ -538,6 +539,7 @@ impl PlannedSuiteResult {
         Evidence {
             claim,
             strength: counts.strength_with_search(),
+            first_violation: None,
             source: EvidenceSource::from_part(ANCHOR, description),
         }
     }

@@ -4,12 +4,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
+use super::first_scenarios::FirstScenarios;
 use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
 use super::sampling::{draw_scenarios, simulate_each};
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure, ShareMark};
 use crate::assessment::claim_draft::ClaimDraft;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, RandomScenario,
+    Strength, Subject,
 };
 use crate::assessment::config::EVERYDAY_SPACES;
 use crate::assessment::document::ReportDocument;
@@ -110,6 +112,9 @@ pub struct ControllerUsefulness {
     /// Unnecessary braking in every space of the report: everyday traffic, danger, and the other spaces.
     #[serde(default)]
     pub braking_by_space: Vec<SpaceBraking>,
+    /// First scenarios that violate a claim.
+    #[serde(default)]
+    pub first: [FirstScenarios; 2],
 }
 
 /// Unnecessary braking of a controller in random scenarios of a space.
@@ -228,16 +233,6 @@ impl UsefulnessReport {
         self.controllers
             .iter()
             .find(|useful| useful.controller == controller)
-    }
-
-    /// Returns the number and the ends of the runs of a controller in a space, if it is one of the two.
-    pub(in crate::assessment) fn space_ends(
-        &self,
-        controller: &str,
-        space: &str,
-    ) -> Option<(u64, RunEnds)> {
-        let index = EVERYDAY_SPACES.iter().position(|name| *name == space)?;
-        Some((self.random_scenarios, self.find(controller)?.ends(index)))
     }
 
     fn introduction(&self) -> String {
@@ -524,7 +519,7 @@ impl ControllerUsefulness {
     }
 
     /// Returns the ends of the everyday drives (0) or of the dangerous scenarios (1).
-    fn ends(&self, space_index: usize) -> RunEnds {
+    pub(in crate::assessment) fn ends(&self, space_index: usize) -> RunEnds {
         RunEnds {
             collisions: self.hit[space_index] + self.was_hit[space_index],
             unanswered: self.unanswered[space_index].clone(),
@@ -620,11 +615,12 @@ impl ReportPart for UsefulnessReport {
 }
 
 impl UsefulnessReport {
-    fn evidence_about(&self, subject: Subject, useful: &ControllerUsefulness) -> [Evidence; 5] {
+    fn evidence_about(&self, subject: Subject, useful: &ControllerUsefulness) -> Vec<Evidence> {
         let runs = self.random_scenarios;
         let [traffic, danger] = self.domains();
         let in_traffic = useful.ends(0);
         // A drive without an answer is no evidence about driving.
+        let [first_in_traffic, first_in_danger] = &useful.first;
         let [unnecessary, keeps_up] =
             [useful.unnecessary_braking, useful.left_behind].map(|failures| {
                 let unanswered = in_traffic.unanswered.as_ref();
@@ -632,34 +628,34 @@ impl UsefulnessReport {
             });
         let no_collision = in_traffic.strength(runs);
         let no_collision_in_danger = useful.ends(1).strength(runs);
-        [
-            useful.oscillation_gain.evidence_about(&subject),
-            self.piece_of_evidence(&subject, Property::NoCollision, &traffic, no_collision),
-            self.piece_of_evidence(
-                &subject,
-                Property::NoUnnecessaryBraking,
-                &traffic,
-                unnecessary,
-            ),
-            self.piece_of_evidence(&subject, Property::KeepsUp, &traffic, keeps_up),
-            self.piece_of_evidence(
-                &subject,
-                Property::NoCollision,
-                &danger,
-                no_collision_in_danger,
-            ),
-        ]
+        let in_traffic = [
+            (Property::NoCollision, no_collision),
+            (Property::NoUnnecessaryBraking, unnecessary),
+            (Property::KeepsUp, keeps_up),
+        ];
+        let mut evidence = vec![useful.oscillation_gain.evidence_about(&subject)];
+        evidence.extend(in_traffic.map(|(property, strength)| {
+            self.piece_of_evidence(&subject, (property, &traffic), strength, first_in_traffic)
+        }));
+        evidence.push(self.piece_of_evidence(
+            &subject,
+            (Property::NoCollision, &danger),
+            no_collision_in_danger,
+            first_in_danger,
+        ));
+        evidence
     }
 
     fn piece_of_evidence(
         &self,
         subject: &Subject,
-        property: Property,
-        domain: &Domain,
+        (property, domain): (Property, &Domain),
         strength: Strength,
+        first: &FirstScenarios,
     ) -> Evidence {
         let description = format!("{} drives, seed {}", self.random_scenarios, self.seed);
         Evidence {
+            first_violation: RandomScenario::new(self.seed, first.violating(&property)),
             claim: AssuranceClaim {
                 subject: subject.clone(),
                 property,
@@ -685,6 +681,7 @@ impl OscillationGain {
         Evidence {
             claim,
             strength: self.strength(),
+            first_violation: None,
             source: EvidenceSource::from_part(ANCHOR, description),
         }
     }

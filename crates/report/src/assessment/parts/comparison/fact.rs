@@ -9,7 +9,9 @@ use serde_json::Value;
 
 use super::order::compare_strengths;
 use crate::assessment::CertificateStatus;
-use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Property, Strength};
+use crate::assessment::claims::{
+    AssuranceClaim, ContentId, Domain, InferenceRule, Property, Strength,
+};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::observation::EstimatorKind;
@@ -26,6 +28,9 @@ pub(super) struct Fact {
     pub(super) is_failure: bool,
     /// True if the controller collides, for results about collisions.
     pub(super) collides: Option<bool>,
+    /// True for a claim about a whole domain that only a refuted claim about a part refutes, which is a result of its
+    /// own: the same runs, listed once.
+    pub(super) is_restated: bool,
 }
 
 /// The comparable content of a result.
@@ -94,6 +99,7 @@ fn add_certificates(evidence: &Value, facts: &mut Facts) -> Result<(), String> {
                 description: status.describe(),
                 is_failure: false,
                 collides: None,
+                is_restated: false,
             },
         );
     }
@@ -124,12 +130,17 @@ fn claim_collides(claim: &AssuranceClaim, strength: &Strength) -> Option<bool> {
 /// Adds the status of each claim about each controller. Returns the claims.
 fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<AssuranceClaim>, String> {
     let controllers: Vec<String> = read(evidence, "summary/controllers")?;
-    let mut all_claims = Vec::new();
-    for row in read::<Vec<Value>>(evidence, "summary/claims")? {
-        let claim_text: String = read(&row, "claim")?;
-        let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
-        let statuses: Vec<Value> = read(&row, "statuses")?;
-        let strengths: Vec<Strength> = read(&row, "statuses")?;
+    let rows = read::<Vec<Value>>(evidence, "summary/claims")?;
+    let mut all_claims: Vec<AssuranceClaim> = Vec::new();
+    for row in &rows {
+        let claims: Vec<Option<AssuranceClaim>> = read(row, "claims")?;
+        all_claims.extend(claims.into_iter().flatten());
+    }
+    for row in &rows {
+        let claim_text: String = read(row, "claim")?;
+        let claims: Vec<Option<AssuranceClaim>> = read(row, "claims")?;
+        let statuses: Vec<Value> = read(row, "statuses")?;
+        let strengths: Vec<Strength> = read(row, "statuses")?;
         if [claims.len(), strengths.len()] != [controllers.len(); 2] {
             return Err(format!(
                 "summary/claims: `{claim_text}` needs one entry per controller"
@@ -150,11 +161,11 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<AssuranceClaim>
                         description: strength.describe(),
                         is_failure: strength.is_refutation(),
                         collides,
+                        is_restated: is_restated(evidence, &all_claims, status),
                         measure: Measure::Claim(strength, deciding_domain(evidence, status)),
                     },
                 );
             }
-            all_claims.extend(claim);
         }
     }
     Ok(all_claims)
@@ -171,6 +182,21 @@ fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
         domain += &format!(" {runs} runs");
     }
     Some(domain)
+}
+
+/// True if the status of a claim follows from evidence about a part of its domain, and the report also makes the claim
+/// about that part.
+fn is_restated(evidence: &Value, claims: &[AssuranceClaim], status: &Value) -> bool {
+    let rule = status
+        .get("rule")
+        .and_then(|rule| InferenceRule::deserialize(rule).ok());
+    let claim_of_part = status
+        .pointer("/evidence/0")
+        .and_then(Value::as_u64)
+        .and_then(|index| evidence.pointer(&format!("/evidence/{index}/claim")))
+        .and_then(|part| AssuranceClaim::deserialize(part).ok());
+    rule == Some(InferenceRule::RefutedInPart)
+        && claim_of_part.is_some_and(|part| claims.contains(&part))
 }
 
 fn listed_scenarios(domain: &Domain) -> &[ContentId] {
@@ -227,6 +253,7 @@ fn add_gaps(evidence: &Value, claims: &[AssuranceClaim], facts: &mut Facts) -> R
                         description,
                         is_failure: false,
                         collides: Some(collides),
+                        is_restated: false,
                     },
                 );
             }
@@ -248,7 +275,7 @@ fn add_failures(
     facts: &mut Facts,
 ) -> Result<(), String> {
     for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
-        let name: String = read(&space, "name")?;
+        let name: String = read(&space, "content_id/name")?;
         let content: String = read(&space, "content_id/sha256")?;
         // A search with another budget or seed is another result.
         let domain = claims
@@ -280,6 +307,7 @@ fn add_failures(
                         description,
                         is_failure: true,
                         collides: None,
+                        is_restated: false,
                     },
                 );
             }

@@ -19,6 +19,7 @@ fn facts_of(facts: &[(&str, Strength)]) -> Facts {
         description: strength.describe(),
         is_failure: strength.is_refutation(),
         collides: Some(strength.is_refutation()),
+        is_restated: false,
         measure: Measure::Claim(strength.clone(), None),
     };
     facts
@@ -220,4 +221,41 @@ fn a_file_without_evidence_is_refused_with_its_line() {
         refused("{}")
     );
     assert!(refused("{\"version\": 0}").contains("version: 0"));
+}
+
+/// Runs that refute a claim about a part of a domain are listed once: not again for the claim about the whole, unless
+/// that one was or is decided by other evidence.
+#[test]
+fn a_refutation_of_a_part_is_listed_once() {
+    let restated = |mut facts: Facts| {
+        let whole = facts
+            .iter_mut()
+            .filter(|((what, _), _)| what.ends_with("anywhere"));
+        whole.for_each(|(_, fact)| fact.is_restated = true);
+        facts
+    };
+    let mut before = earlier(&[
+        ("search", falsified(6, 6)),
+        ("search: anywhere", falsified(6, 6)),
+        ("gone: anywhere", falsified(6, 6)),
+    ]);
+    before.facts = restated(before.facts);
+    before.facts.extend(facts_of(&[(
+        "proof: anywhere",
+        Strength::Proved { certificates: 1 },
+    )]));
+    let now = restated(facts_of(&[
+        ("search", falsified(8, 8)),
+        ("search: anywhere", falsified(8, 8)),
+        ("new: anywhere", falsified(8, 8)),
+        ("proof: anywhere", falsified(8, 8)),
+    ]));
+    let comparison = AssessmentComparison::from_facts(&before, &now, true);
+    let worse: Vec<&str> = comparison
+        .worse
+        .iter()
+        .map(|change| change.description.as_str())
+        .collect();
+    assert_eq!(worse, ["proof: anywhere", "search"]);
+    assert!(comparison.new.is_empty() && comparison.gone.is_empty());
 }
