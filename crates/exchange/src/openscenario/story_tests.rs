@@ -1,5 +1,6 @@
 //! Stories: priorities, replaced actions, states, lanes and trajectories. The files are those of public bug reports.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use super::tests::{ROAD, TIME, file, lane_change, same_lane, speed_action};
@@ -335,6 +336,43 @@ fn positions_with_two_decimals_do_not_become_hard_braking() {
     assert!(before > -0.1, "{before}");
     assert!(braking > -3.6, "{braking}");
     assert!(after > -0.1, "{after}");
+}
+
+/// Those positions at 30 Hz, with times of three decimals: the vehicle drives at 24 m/s and brakes at 4.3 m/s².
+#[test]
+fn rounded_times_do_not_become_hard_braking() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../corpora/openscenario/clauses");
+    let road = std::fs::read(folder.join("road.xodr")).unwrap();
+    let text = std::fs::read_to_string(folder.join("recording-two-decimals.xosc")).unwrap();
+    let mut parts = text.split("<Vertex time=\"");
+    let mut text = parts.next().unwrap().to_owned();
+    for (index, part) in parts.enumerate() {
+        let (_, rest) = part.split_once('"').unwrap();
+        let time_s = index as f64 / 30.0;
+        write!(text, "<Vertex time=\"{time_s:.3}\"{rest}").unwrap();
+    }
+    let source = OpenScenarioSource::from_bytes(text.as_bytes(), &road).unwrap();
+    let imported = source.scenario(None, &[]).unwrap();
+    assert!(
+        imported
+            .notes
+            .iter()
+            .any(|note| note.contains("those of a constant rate")),
+        "{:?}",
+        imported.notes
+    );
+    let vehicle = of_length(&imported.scenario, 4.2);
+    let lowest_mps2 = |from: usize, to: usize| {
+        (from..to)
+            .map(|step| 0.01 * step as f64)
+            .map(|time_s| {
+                100.0 * (scripted_mps(&vehicle, time_s + 0.01) - scripted_mps(&vehicle, time_s))
+            })
+            .fold(0.0, f64::min)
+    };
+    let [before, braking] = [lowest_mps2(0, 210), lowest_mps2(210, 620)];
+    assert!(before > -0.1, "{before}");
+    assert!((-5.0..-4.2).contains(&braking), "{braking}");
 }
 
 /// A recorded vehicle brakes at 3 m/s² from 20 to 8 m/s and to standstill, and its positions have one decimal.
