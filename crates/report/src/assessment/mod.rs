@@ -162,7 +162,7 @@ pub fn assess(
     work.ensure_all_trusted()?;
     let configuration = plan.configuration_file(&results.proofs)?;
     let identity = ReportIdentity::new(plan, &configuration);
-    let provenance = AssessmentProvenance::new(plan, cache, &configuration);
+    let provenance = AssessmentProvenance::new(plan, cache, &plan.compared_config(&results.proofs));
     let mut files = plan.command_files()?;
     files.push(configuration);
     Ok(AssessmentReport::derive(

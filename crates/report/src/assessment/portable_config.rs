@@ -13,6 +13,7 @@ use super::{
     AssessConfig, AssessmentGate, AssessmentPlan, CacheError, CommandFile, CrumpleCommand,
     GateConfig,
 };
+use crumple_controllers::Controllers;
 use crumple_sim::engine::NamedController;
 use crumple_suites::TestSuite;
 
@@ -110,6 +111,31 @@ impl AssessmentPlan {
         };
         portable.search.spaces = Some(space_args(&self.search_spaces));
         portable
+    }
+
+    /// Returns the configuration that a comparison with another report compares: with the names of controllers instead
+    /// of their files, which may have changed, and without the folders of scenarios and spaces.
+    pub(super) fn compared_config(&self, proofs: &Proofs) -> AssessConfig {
+        let mut compared = AssessConfig {
+            controllers: self.controller_names(),
+            names: BTreeMap::new(),
+            subject: Some(self.subject_name().to_owned()),
+            // A permission determines no result.
+            controllers_of_files: Controllers::default(),
+            ..self.portable_config(proofs)
+        };
+        for (suite, named) in compared.suites.iter_mut().zip(&self.config.suites) {
+            suite.controllers.clone_from(&named.controllers);
+        }
+        for (config, named) in compared.gates.iter_mut().zip(&self.config.gates) {
+            let mut gate = named.gate.clone();
+            for (portable, own) in config.gate.names_mut().into_iter().zip(gate.names_mut()) {
+                if own.role == NameRole::Controller {
+                    portable.name.clone_from(own.name);
+                }
+            }
+        }
+        compared
     }
 
     /// Returns the names that the report gives to controllers, by those in the report folder where these differ. Of

@@ -5,7 +5,7 @@ use super::{
     require, share_problem,
 };
 use crate::assessment::claims::{AssuranceClaim, Domain, Property, RateBounds, Strength};
-use crate::assessment::{AssessConfig, ControllerSample, Rounded, SpaceSample};
+use crate::assessment::{AssessConfig, ControllerSample, Rounded, RunEnds, SpaceSample};
 use crumple_core::field_error::FieldError;
 
 pub(super) fn at_most<'a>(
@@ -217,6 +217,27 @@ fn compare_samples(
     let scenarios = sample.random_scenarios;
     let own = &own.ends;
     let other = &other.ends;
+    let is_known = own.ended_by_others < scenarios && other.unanswered_runs() < scenarios;
+    let against = own.failures() + own.ended_by_others;
+    let is_not_above = against <= other.collisions;
+    let own_count = EventCount {
+        events: own.failures(),
+        unknown: own.ended_by_others,
+    };
+    let other_count = EventCount {
+        events: other.collisions,
+        unknown: other.unanswered_runs() + other.ended_by_others,
+    };
+    let confidence = 0.5 * (1.0 + sample.confidence);
+    let interval = IndicatorInterval::of_difference(own_count, other_count, scenarios, confidence);
+    let reason = describe_samples(own, other, scenarios);
+    GateVerdict::new(is_known && is_not_above, reason)
+        .with_value(percent_difference([against, other.collisions], scenarios))
+        .with_interval(Some(interval))
+        .with_domain(sample.draws_domain())
+}
+
+fn describe_samples(own: &RunEnds, other: &RunEnds, scenarios: u64) -> String {
     let mut reason = format!(
         "{} against {} of the same {scenarios} random scenarios collide",
         own.collisions, other.collisions
@@ -236,23 +257,7 @@ fn compare_samples(
             unanswered.describe(scenarios)
         );
     }
-    let is_known = own.ended_by_others < scenarios && other.unanswered_runs() < scenarios;
-    let against = own.failures() + own.ended_by_others;
-    let is_not_above = against <= other.collisions;
-    let own_count = EventCount {
-        events: own.failures(),
-        unknown: own.ended_by_others,
-    };
-    let other_count = EventCount {
-        events: other.collisions,
-        unknown: other.unanswered_runs() + other.ended_by_others,
-    };
-    let confidence = 0.5 * (1.0 + sample.confidence);
-    let interval = IndicatorInterval::of_difference(own_count, other_count, scenarios, confidence);
-    GateVerdict::new(is_known && is_not_above, reason)
-        .with_value(percent_difference([against, other.collisions], scenarios))
-        .with_interval(Some(interval))
-        .with_domain(sample.draws_domain())
+    reason
 }
 
 /// Returns the difference of two counts, as a share of the runs in percent.

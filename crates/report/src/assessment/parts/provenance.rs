@@ -6,7 +6,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_block::{ParagraphStyle, ReportBlock};
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessConfig, AssessmentPlan, CommandFile, EvidenceCache, EvidenceHash};
+use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash};
 use crumple_core::digest::sha256;
 
 /// The time, program and machine of an assessment. No evidence depends on them.
@@ -51,11 +51,11 @@ pub struct AssessmentProvenance {
 }
 
 impl AssessmentProvenance {
-    /// `configuration` is the file in the report folder, which does not depend on where the assessed files are.
+    /// `compared` is the configuration without the places of the assessed files.
     pub(in crate::assessment) fn new(
         plan: &AssessmentPlan,
         cache: &EvidenceCache,
-        configuration: &CommandFile,
+        compared: &AssessConfig,
     ) -> Self {
         // `Debug` writes every field, and unlike a serializer cannot fail.
         let scenarios = plan
@@ -67,8 +67,7 @@ impl AssessmentProvenance {
             .iter()
             .chain(&plan.search_spaces)
             .map(|named| named.text.clone());
-        let config = String::from_utf8_lossy(&configuration.contents).into_owned();
-        let inputs = std::iter::once(config)
+        let inputs = std::iter::once(format!("{compared:?}"))
             .chain(scenarios)
             .chain(spaces)
             .collect::<Vec<_>>()

@@ -127,15 +127,21 @@ fn claim_collides(claim: &AssuranceClaim, strength: &Strength) -> Option<bool> {
     is_about_collisions.then(|| strength.is_refutation())
 }
 
+/// Returns the claims of all rows.
+fn read_claims(rows: &[Value]) -> Result<Vec<AssuranceClaim>, String> {
+    let mut all = Vec::new();
+    for row in rows {
+        let claims: Vec<Option<AssuranceClaim>> = read(row, "claims")?;
+        all.extend(claims.into_iter().flatten());
+    }
+    Ok(all)
+}
+
 /// Adds the status of each claim about each controller. Returns the claims.
 fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<AssuranceClaim>, String> {
     let controllers: Vec<String> = read(evidence, "summary/controllers")?;
     let rows = read::<Vec<Value>>(evidence, "summary/claims")?;
-    let mut all_claims: Vec<AssuranceClaim> = Vec::new();
-    for row in &rows {
-        let claims: Vec<Option<AssuranceClaim>> = read(row, "claims")?;
-        all_claims.extend(claims.into_iter().flatten());
-    }
+    let all_claims = read_claims(&rows)?;
     for row in &rows {
         let claim_text: String = read(row, "claim")?;
         let claims: Vec<Option<AssuranceClaim>> = read(row, "claims")?;
