@@ -160,8 +160,8 @@ impl Run {
     }
 
     /// Returns the name of the driver of the follower of vehicle `index`, unless that is known to be of the class: a
-    /// `baseline` that fires at the class's time to collision, with the limits of the class or better. It holds its speed
-    /// before, so only its noise changes it.
+    /// `baseline` that fires at the class's time to collision, with the limits of the class or better. Before it fires,
+    /// only noise changes its speed.
     #[must_use]
     pub fn driver_outside_class(
         &self,
