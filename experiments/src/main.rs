@@ -116,7 +116,7 @@ const EXPERIMENTS: &[Experiment] = &[
     Experiment {
         name: "two_sided",
         arguments: "loops RUNS [FIRST] | shares SPACE RUNS [SETTING=NUMBER]... | runs SPACE RUNS CONTROLLER... | \
-                    avoid SPACE RUNS [SETTING=NUMBER]... | followers SPACE RUNS CONTROLLER...",
+                    avoid SPACE RUNS [SETTING=NUMBER]...",
         run: two_sided::run,
     },
 ];

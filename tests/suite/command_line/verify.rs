@@ -158,6 +158,22 @@ fn levels_are_measured_or_missing_with_a_reason() {
     );
 }
 
+/// The first state of `paper-1` has no plan at the leader's limit.
+#[test]
+fn the_report_of_a_two_sided_shield_speaks_of_its_level() {
+    let folder = temp_folder();
+    for before in ["", "test-driver,hold_mps=20:"] {
+        let command =
+            format!("simulate paper-1 --controller {before}shield2:idm --estimator truth");
+        let report = run_ok(folder.path(), &command);
+        assert!(
+            stdout(&report).contains("the level of the state was lower than the one to keep"),
+            "{}",
+            stdout(&report)
+        );
+    }
+}
+
 /// Filter errors sometimes exceed their bounds, so no output calls them proved.
 #[test]
 fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {

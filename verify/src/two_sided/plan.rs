@@ -171,6 +171,9 @@ fn check_form(claim: &TwoSidedClaim, start: &TwoSidedStart) -> Result<(), Reject
         ));
     }
     let ego = &claim.ego;
+    if u64::from(ego.delay_steps) > MAX_STEPS as u64 {
+        return Err(Rejection::invalid("ego.delay_steps", "is out of range"));
+    }
     let within = |command: &f64| (-ego.brake_mps2..=ego.accel_mps2).contains(command);
     let after = start.plan.after_firing.as_ref();
     let commands = start.plan.commands.iter().map(|piece| &piece.1);

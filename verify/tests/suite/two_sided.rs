@@ -118,10 +118,12 @@ fn a_level_is_accepted_exactly_up_to_the_one_of_the_gap() {
 #[test]
 fn constants_outside_the_theorem_and_parts_that_do_not_belong_together_are_rejected() {
     type Change = fn(&mut TwoSidedClaim);
-    let changes: [(&str, Change); 12] = [
+    let changes: [(&str, Change); 13] = [
         ("ego.step_s", |claim| claim.ego.step_s = 0.0),
         ("ego.brake_mps2", |claim| claim.ego.brake_mps2 = -1.0),
         ("ego.noise_mps2", |claim| claim.ego.noise_mps2 = 8.0),
+        // Each firing would be checked until the command after it takes effect.
+        ("ego.delay_steps", |claim| claim.ego.delay_steps = u32::MAX),
         ("leader_brakes_at_most_mps2", |claim| {
             claim.leader_brakes_at_most_mps2 = 0.0
         }),

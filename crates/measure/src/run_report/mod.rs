@@ -11,7 +11,7 @@ pub use specification_result::{PartReport, SpecificationResult};
 
 use super::level::LevelMeasures;
 use super::usefulness::{UnnecessaryBraking, UsefulnessMeasures};
-use crumple_sim::control::{FollowerClass, ShieldKind, TwoSidedSettings};
+use crumple_sim::control::{ControllerSource, FollowerClass, ShieldKind, TwoSidedSettings};
 use crumple_sim::engine::{
     Impact, Intervention, NamedController, Outcome, Run, SimulationResult, VehicleSummary,
 };
@@ -108,11 +108,16 @@ impl<'a> From<&'a NamedController> for ReportedController<'a> {
         Self {
             name: &controller.name,
             is_deterministic: controller.source.is_deterministic(),
-            has_two_sided_shield: matches!(
-                controller.source.as_shield().map(|shield| &shield.settings),
-                Some(ShieldKind::BothSides(_))
-            ),
+            has_two_sided_shield: has_two_sided_shield(&*controller.source),
         }
+    }
+}
+
+/// True if the source is a two-sided shield, or has one inside: behind a test driver, for example.
+fn has_two_sided_shield(source: &dyn ControllerSource) -> bool {
+    match source.as_shield() {
+        Some(shield) => matches!(shield.settings, ShieldKind::BothSides(_)),
+        None => source.inner().is_some_and(has_two_sided_shield),
     }
 }
 

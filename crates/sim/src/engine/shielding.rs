@@ -160,14 +160,16 @@ impl Run {
     }
 
     /// Returns the name of the driver of the follower of vehicle `index`, unless that is known to be of the class: a
-    /// `baseline` that fires at the class's time to collision, with the limits of the class or better.
+    /// `baseline` that fires at the class's time to collision, with the limits of the class or better. Before it fires,
+    /// only noise changes its speed.
     #[must_use]
     pub fn driver_outside_class(
         &self,
         index: usize,
         class: &FollowerClass,
     ) -> Option<&'static str> {
-        let driver = &self.scenario().vehicles().get(index + 1)?.driver;
+        let follower = self.scenario().vehicles().get(index + 1)?;
+        let driver = &follower.driver;
         let limits = self.follower_class(index, &TwoSidedSettings::default())?;
         let fires_as_stated = match (driver, class.trigger) {
             (
@@ -176,8 +178,9 @@ impl Run {
             ) => settings.ttc_s == ttc_s,
             _ => false,
         };
-        let is_within_limits =
-            limits.reaction_s <= class.reaction_s && limits.brake_mps2 >= class.brake_mps2;
+        let is_within_limits = limits.reaction_s <= class.reaction_s
+            && limits.brake_mps2 >= class.brake_mps2
+            && noise_bound_mps2(follower) <= class.drift_mps2;
         (!fires_as_stated || !is_within_limits).then(|| driver.name())
     }
 

@@ -35,6 +35,11 @@ const OPTIMISTIC_FACTORS: [f64; 4] = [1.0, 1.3, 1.7, 3.0];
 /// Largest change of commands that the filter chooses itself, in m/s³, except for those of its plan.
 const MAX_CHANGE_MPS3: f64 = 20.0;
 
+/// Largest increase of a command after a replaced one, at the level to keep, in m/s³. With a faster return, `idm` is
+/// soon at the boundary of the set again, and the filter brakes every three seconds. Below the level to keep, a slower
+/// return would mean more collisions with a `human` behind.
+const MAX_RETURN_MPS3: f64 = 5.0;
+
 /// Increase of the level that a step attempts, in m/s².
 const LEVEL_STEP_MPS2: f64 = 0.25;
 
@@ -436,6 +441,16 @@ impl TwoSidedFilter {
         }
     }
 
+    /// Returns the largest increase of a command after a replaced one, in m/s².
+    fn max_return_mps2(&self) -> f64 {
+        let change_mps3 = if self.keeps_level() {
+            MAX_RETURN_MPS3
+        } else {
+            MAX_CHANGE_MPS3
+        };
+        change_mps3 * self.planner.params.step_s
+    }
+
     fn keeps_level(&self) -> bool {
         let keep_mps2 = self.planner.params.level_mps2;
         self.level_mps2()
@@ -486,10 +501,9 @@ impl TwoSidedFilter {
         observation: &Observation,
     ) -> f64 {
         let keep_mps2 = self.planner.params.level_mps2;
-        let change_mps2 = MAX_CHANGE_MPS3 * self.planner.params.step_s;
         // After a replaced command, the command returns to the wanted one without a jump.
         let target_mps2 = if self.was_replaced() {
-            wanted_mps2.min(self.last_mps2 + change_mps2)
+            wanted_mps2.min(self.last_mps2 + self.max_return_mps2())
         } else {
             wanted_mps2
         };

@@ -10,8 +10,8 @@ use crate::observation::Observation;
 /// Highest level, in m/s²: no road vehicle brakes harder.
 pub const MAX_LEVEL_MPS2: f64 = 12.0;
 
-/// Accuracy of a level, in m/s².
-const LEVEL_ACCURACY_MPS2: f64 = 0.01;
+/// Levels per m/s²: a level is a multiple of 0.01 m/s².
+const LEVELS_PER_MPS2: f64 = 100.0;
 
 /// Computes the levels of the states of a run, step by step.
 #[derive(Debug)]
@@ -22,7 +22,7 @@ pub struct LevelMeter {
     state: Option<TwoSidedState>,
     /// Shape of the last plan, which is likely to suit the next state.
     last: Option<PlanShape>,
-    /// The last level, in units of the accuracy.
+    /// The last level, in hundredths of m/s².
     last_level: usize,
 }
 
@@ -48,13 +48,13 @@ impl LevelMeter {
     /// level is above 0, or nothing was observed.
     #[must_use]
     pub fn level_mps2(&mut self) -> f64 {
-        let most = (MAX_LEVEL_MPS2 / LEVEL_ACCURACY_MPS2).round() as usize;
+        let most = (MAX_LEVEL_MPS2 * LEVELS_PER_MPS2).round() as usize;
         // Levels change little from step to step.
         let guess = self.last_level;
-        let keeps = |level: usize| level == 0 || self.keeps(level as f64 * LEVEL_ACCURACY_MPS2);
+        let keeps = |level: usize| level == 0 || self.keeps(level as f64 / LEVELS_PER_MPS2);
         let level = largest_with(keeps, guess, most).unwrap_or(0);
         self.last_level = level;
-        level as f64 * LEVEL_ACCURACY_MPS2
+        level as f64 / LEVELS_PER_MPS2
     }
 
     /// True if the observed state is in S for a leader that brakes at up to `level_mps2`.

@@ -615,3 +615,20 @@ fn a_shield_around_a_shield_is_refused() {
         })
     ));
 }
+
+/// A `baseline` holds its speed until its brake fires, but noise of its acceleration may exceed the limit of the class.
+#[test]
+fn a_follower_with_noise_is_not_known_to_be_of_the_class() {
+    let driver_with_noise = |noise_mps2: f64| {
+        let scenario = built_in_scenario("paper-1")
+            .unwrap()
+            .edited(|spec| spec.vehicles[2].acceleration_noise_mps2 = noise_mps2)
+            .unwrap();
+        let idm = BuiltInController::from_name("idm").unwrap();
+        let run = Run::new(&scenario, RunOptions::new(idm)).unwrap();
+        let params = run.two_sided_shield(1, &TwoSidedSettings::default());
+        run.driver_outside_class(1, &params.unwrap().follower.unwrap())
+    };
+    assert_eq!(driver_with_noise(0.01), None);
+    assert_eq!(driver_with_noise(0.2), Some("baseline"));
+}

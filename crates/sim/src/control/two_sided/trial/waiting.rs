@@ -35,8 +35,45 @@ pub(super) struct WaitingTrial<'p> {
     state: FollowerState,
     /// Acceleration steps of the last firing.
     steps: usize,
+    blocks: BlockSizes,
+}
+
+/// Sizes of the blocks to try. A block that fails costs a test and saves none, so that ever more single steps follow
+/// failures without a success in between.
+struct BlockSizes {
     /// Steps of the next block.
-    block: usize,
+    next: usize,
+    /// Single steps before the next larger block.
+    singles_left: usize,
+    /// Single steps after the next failure.
+    singles: usize,
+}
+
+impl BlockSizes {
+    fn new() -> Self {
+        Self {
+            next: 1,
+            singles_left: 0,
+            singles: 1,
+        }
+    }
+
+    fn record_success(&mut self, size: usize) {
+        if size == 1 && self.singles_left > 0 {
+            self.singles_left -= 1;
+            self.next = 1;
+            return;
+        }
+        if size > 1 {
+            self.singles = 1;
+        }
+        self.next = (2 * size).min(MAX_BLOCK);
+    }
+
+    fn record_failure(&mut self) {
+        self.singles_left = self.singles;
+        self.singles = (2 * self.singles).min(MAX_BLOCK);
+    }
 }
 
 /// Own motion and bounds of an unfired follower at a step.
@@ -69,7 +106,7 @@ impl<'p> WaitingTrial<'p> {
             },
             state,
             steps: 0,
-            block: 1,
+            blocks: BlockSizes::new(),
         }
     }
 
@@ -341,7 +378,7 @@ impl<'p> WaitingTrial<'p> {
         self.set_longest_steps(self.switch_s(now.up.time_s))?;
         let first_steps = self.steps;
         let size = match self.computes_exactly() {
-            true => self.block,
+            true => self.blocks.next,
             false => 1,
         };
         let covered = self.covered_steps(size, |waiting, size| {
@@ -375,12 +412,13 @@ impl<'p> WaitingTrial<'p> {
         loop {
             self.trial.spend(FIRING_WORK)?;
             if covers(self, size) {
-                self.block = (2 * size).min(MAX_BLOCK);
+                self.blocks.record_success(size);
                 return Some(size);
             }
             if size == 1 {
                 return None;
             }
+            self.blocks.record_failure();
             size = 1;
         }
     }
@@ -398,7 +436,7 @@ impl<'p> WaitingTrial<'p> {
         if sample == 0 {
             return self.covered_steps(1, |waiting, _| waiting.covers_start(now, switch_s));
         }
-        self.covered_steps(self.block.min(most), |waiting, size| {
+        self.covered_steps(self.blocks.next.min(most), |waiting, size| {
             waiting.covers_block(now, size, switch_s)
         })
     }
