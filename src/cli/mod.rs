@@ -103,7 +103,8 @@ struct Cli {
     allow_external: bool,
     /// Number of threads, 1 to 1024 [default: RAYON_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
     /// process may use]
-    #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND, value_name = "N", value_parser = args::whole_number::<usize>(1..=1024))]
+    #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND)]
+    #[arg(value_name = "N", value_parser = args::whole_number::<usize>(1..=1024))]
     jobs: Option<usize>,
     #[command(subcommand)]
     command: CliCommand,
