@@ -224,7 +224,13 @@ fn suites_are_evidence_of_an_assessment() {
     );
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");
-    assert_eq!(again.files().unwrap(), files);
+    // JUnit states measured times, and `work.json` its hash.
+    let without_times = |mut files: Vec<(String, Vec<u8>)>| {
+        files.retain(|(name, _)| !name.ends_with(".junit.xml") && name != "work.json");
+        files
+    };
+    let (again, first) = (without_times(again.files().unwrap()), without_times(files));
+    assert_eq!(again, first);
     for (from, suites, gates, message) in [
         (
             "nowhere",

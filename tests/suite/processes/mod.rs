@@ -667,7 +667,7 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         let counted = counted.output().unwrap();
         let message = format!("{}{}", stderr(&counted), stdout(&counted));
         let expected = if controller == "crash.toml" {
-            "(200 failures in 200 runs"
+            "200 failures in 200 runs"
         } else {
             "0 failures in 10000 runs"
         };

@@ -156,7 +156,7 @@ impl ScenarioCases {
         let Some(report) = &self.avoidance else {
             return String::new();
         };
-        format!("`crumple avoid`: {}.", report.main_statements().join("; "))
+        format!("Avoidability: {}.", report.main_statements().join("; "))
     }
 
     pub(super) fn table(&self) -> ReportTable {
