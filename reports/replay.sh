@@ -151,4 +151,9 @@ run simulate counterexamples/high-risk/road/12-2-hits-1.toml --controller road -
 run simulate counterexamples/high-risk/road/12-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/13-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/13-2-hits-1-escape.toml --expect safe
+run simulate violations/high-risk-0-2.toml --controller road --expect collision
+run simulate violations/followers-0-2.toml --controller road --expect collision
+run simulate violations/everyday-0-225.toml --controller road --expect collision
+run simulate violations/everyday-0-286.toml --controller road
+run simulate violations/everyday-0-815.toml --controller road
 exit $failed
