@@ -369,7 +369,7 @@ def test_counts_of_a_python_controller_are_pooled_if_its_identity_is_a_hash():
     assert crumple.rate.pool(counts, seeds=range(2)).failures == counts[0].failures + counts[1].failures
     other = crumple.rate(OWN, "high-risk", runs=50)
     assert other.certificate is None
-    with pytest.raises(crumple.RateError, match="cannot be pooled: `registration.configuration.controller_sha256`"):
+    with pytest.raises(crumple.RateError, match=r"cannot be pooled: `registration\.configuration\.controller_sha256`"):
         crumple.rate.pool([other])
 
 
