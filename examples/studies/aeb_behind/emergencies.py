@@ -10,7 +10,8 @@ from behind only).
 
 Readings where a page left a choice: an observed acceleration is the commanded one after the limits, so a car that
 coasts after an impact shows no brake lights; the braking level of `human` is the largest deceleration that it commands;
-the duration of a glance is a mean; a reason to brake lasts while the true closing speed is positive.
+the duration of a glance is a mean; a reason to brake lasts while the true closing speed is positive. Since then,
+docs/mathematics.md states the rules of crumple, which differ for brake lights after an impact and for glances.
 
 A run ends when the third vehicle hits the second: nothing that happens later counts.
 """
