@@ -299,7 +299,12 @@ pub(super) fn plain_file_name(name: &str) -> String {
         .collect()
 }
 
-/// Returns a file name of at most 60 characters for a scenario's name.
+/// Returns a file name of at most 60 characters for a scenario's name. Longer names lose characters in the middle,
+/// because the end distinguishes the variations of one file.
 pub(super) fn file_stem(name: &str) -> String {
-    plain_file_name(name).chars().take(60).collect()
+    let plain: Vec<char> = plain_file_name(name).chars().collect();
+    match plain.len() {
+        0..=60 => plain.into_iter().collect(),
+        count => plain[..40].iter().chain(&plain[count - 20..]).collect(),
+    }
 }

@@ -81,6 +81,9 @@ fn read_arguments(mut words: impl Iterator<Item = OsString>) -> Result<Request, 
     while let Some(word) = words.next() {
         match word.to_str() {
             Some("--pool") => request.is_pool = true,
+            Some("--seeds") if request.seeds.is_some() => {
+                return Err("--seeds is given twice".to_owned());
+            }
             Some("--seeds") => {
                 let value = words.next();
                 let seeds = value

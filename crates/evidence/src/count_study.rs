@@ -119,7 +119,17 @@ impl Study for RatePlan {
         observer
             .notify(&self.progress(&tally))
             .map_err(RateError::from)?;
-        Ok(self.result(tally))
+        let result = self.result(tally);
+        let path = folder.path(CERTIFICATE_FILE);
+        if result.certificate.is_ok() && !path.is_file() {
+            return Err(RunFolderError::damaged(
+                &path,
+                "an earlier version counted here, and wrote no certificate if every run failed; count again into \
+                 another folder",
+            )
+            .into());
+        }
+        Ok(result)
     }
 }
 
@@ -230,6 +240,28 @@ mod tests {
         assert!(
             error.ends_with("progress.json: has changed since it was written"),
             "{error}"
+        );
+    }
+
+    /// Earlier versions wrote no certificate of such a count. A pool must not lose its seed without a message.
+    #[test]
+    fn a_count_without_the_certificate_of_its_failures_is_refused() {
+        let plan = rate_plan("baseline", None, ("paper", 50), (1, 0.9));
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(
+            plan.run(folder.path(), false, &Quiet)
+                .unwrap()
+                .tally
+                .failures,
+            50
+        );
+        let run_folder = open_run_folder(&plan, folder.path(), true).unwrap();
+        fs::remove_file(folder.path().join(CERTIFICATE_FILE)).unwrap();
+        let error = plan.read(&run_folder, &Quiet).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            message.contains("wrote no certificate if every run failed"),
+            "{message}"
         );
     }
 }
