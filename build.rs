@@ -1,5 +1,5 @@
-//! Tells a release build the commit of its sources, which reports state. A debug build states none, so that a commit
-//! does not compile the tests again.
+//! Tells a release build the commit of its sources, which reports and `--version` state. A debug build states none, so
+//! that a commit does not compile the tests again.
 
 use std::path::Path;
 use std::process::Command;
@@ -24,12 +24,20 @@ const PACKAGED_COMMIT: &str = ".cargo_vcs_info.json";
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
-    if env::var("PROFILE").as_deref() != Ok("release") {
-        return;
-    }
-    if let Some(commit) = packaged_commit().or_else(checked_out_commit) {
+    let mut version = env::var("CARGO_PKG_VERSION").unwrap_or_default();
+    if let Some(commit) = commit() {
         println!("cargo::rustc-env=CRUMPLE_COMMIT={commit}");
+        version += &format!(", commit {commit}");
     }
+    println!("cargo::rustc-env=CRUMPLE_VERSION={version}");
+}
+
+/// Returns the commit of the sources of a release build; `None` if it is not known, and for other builds.
+fn commit() -> Option<String> {
+    let is_release = env::var("PROFILE").as_deref() == Ok("release");
+    is_release
+        .then(|| packaged_commit().or_else(checked_out_commit))
+        .flatten()
 }
 
 /// Returns the commit of a package; `None` outside packages.

@@ -13,11 +13,13 @@ from ub_test_reports.needs_export import build_needs_file
 
 CONFIG = """\
 version = 1
-controllers = ["idm", "acc-aeb"]
+controllers = ["idm", "acc-aeb", "acc-aeb,ttc_s=1.5", "acc-aeb,ttc_s=2.5"]
+subject = "acc-aeb"
 draws = 20
 everyday_draws = 0
 search = { budget = 5 }
 rates = { runs = 20 }
+suites = [{ suite = "one.toml" }, { suite = "two.toml" }]
 
 [[gates]]
 require = "no-collision-in-paper-scenarios"
@@ -48,6 +50,10 @@ def main(program):
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         (folder / "a.toml").write_text(CONFIG)
+        # The converter refuses cases that it takes for one: equal tests of two suites and of two settings.
+        lanes = (Path(__file__).parent.parent / "examples/suites/lane-changes.toml").read_text()
+        for name in ("one", "two"):
+            (folder / f"{name}.toml").write_text(lanes.replace('"lane-changes"', f'"{name}"', 1))
         subprocess.run([program, "assess", "a.toml", "--out", "report", "--quiet"], cwd=folder, check=True)
         cases = links_of(folder / "report/assessment.junit.xml")
         linked = {name: case for name, case in cases.items() if case[0] or case[1]}

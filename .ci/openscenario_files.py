@@ -1,4 +1,4 @@
-"""Imports the example scenarios of esmini and ASAM, and writes their table: `openscenario_files.py CRUMPLE [FOLDER]`.
+"""Imports the examples of esmini and ASAM, and writes their tables: `openscenario_files.py CRUMPLE [FOLDER]`.
 
 The files come from GitHub, or from FOLDER with the folders `esmini` and `alks` of these repositories. They are not part
 of crumple. With `--write` the table in docs/exchange.md is replaced; without, it must be the same.
@@ -10,15 +10,17 @@ import sys
 import tempfile
 from pathlib import Path
 
-# Repository, commit, and folder of the scenarios.
+# Repository and commit of each folder.
 SOURCES = {
-    "esmini": ("https://github.com/esmini/esmini", "77028d83", "resources/xosc"),
-    "alks": (
-        "https://github.com/asam-oss/OSC-ALKS-scenarios",
-        "de21f22",
-        "logical_scenarios/concrete_scenarios",
-    ),
+    "esmini": ("https://github.com/esmini/esmini", "77028d83"),
+    "alks": ("https://github.com/asam-oss/OSC-ALKS-scenarios", "de21f22"),
 }
+# Tables: folder, folder of the files in it, what the files are, and the suffixes that names in the table omit.
+TABLES = [
+    ("esmini", "resources/xosc", "files", []),
+    ("alks", "logical_scenarios/concrete_scenarios", "files", ["_template"]),
+    ("alks", "logical_scenarios", "files of variations", ["_variation"]),
+]
 # Vehicle under test of files in which another vehicle has the only controller.
 UNDER_TEST = {"cut-in_sloppy": "Ego"}
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "exchange.md"
@@ -32,7 +34,7 @@ def git(folder, *words):
 def fetch(name, folder):
     """Returns the folder of a repository, which is fetched at its commit if it is not there."""
     own = folder / name
-    url, commit, _ = SOURCES[name]
+    url, commit = SOURCES[name]
     if not own.exists():
         own.mkdir(parents=True)
         git(own, "init", "--quiet")
@@ -58,7 +60,7 @@ def outcome(crumple, path):
         scenario = re.search(r'<ScenarioFile filepath="([^"]*)"', text)[1]
         first, count = attempt(crumple, path.parent / scenario, "--distribution", path)
         if not first:
-            return True, f"imported as {count} variations of `{scenario}`"
+            return True, f"imported as {count} variations of `{Path(scenario).name}`"
     elif path.stem in UNDER_TEST:
         name = UNDER_TEST[path.stem]
         first, _ = attempt(crumple, path, "--ego", name)
@@ -70,21 +72,30 @@ def outcome(crumple, path):
         return True, "imported"
     if "with --ego" in first and not attempt(crumple, path, "--ego", "Ego")[0]:
         return True, "imported with `--ego Ego`"
-    reason = re.sub(r"^error: \S+:\d+: ", "", first)
+    # The place in the file, and the values of the first variation.
+    reason = re.sub(r"^error: \S+:\d+: | \(with `[^`]*`\)", "", first.splitlines()[0])
     return False, reason.replace("|", "/")
 
 
-def table(crumple, folder):
+def short_name(stem, suffixes):
+    """Returns the name of a file in a table."""
+    name = stem.removeprefix("alks_scenario_")
+    for suffix in suffixes:
+        name = name.replace(suffix, "")
+    return name
+
+
+def tables(crumple, folder):
     lines, counts = [], []
-    for name, (url, commit, inside) in SOURCES.items():
+    for name, inside, what, suffixes in TABLES:
+        url, commit = SOURCES[name]
         files = sorted((fetch(name, folder) / inside).glob("*.xosc"))
-        rows = [(path.stem, *outcome(crumple, path)) for path in files]
+        rows = [(short_name(path.stem, suffixes), *outcome(crumple, path)) for path in files]
         good = [stem for stem, ok, _ in rows if ok]
-        counts.append(f"{len(good)} of {len(rows)} of {name}")
-        lines += [f"[{name}]({url}) (commit {commit}): {len(good)} of {len(rows)} files are imported.", ""]
+        counts.append(f"{len(good)} of {len(rows)} {what} of {name}")
+        lines += [f"[{name}]({url}) (commit {commit}): {len(good)} of {len(rows)} {what} are imported.", ""]
         lines += ["| file | result |", "|---|---|"]
-        stems = [stem.removeprefix("alks_scenario_").removesuffix("_template") for stem, _, _ in rows]
-        lines += [f"| {stem} | {row[2]} |" for stem, row in zip(stems, rows)]
+        lines += [f"| {stem} | {text} |" for stem, _, text in rows]
         lines.append("")
     return "\n".join(lines), ", ".join(counts)
 
@@ -93,7 +104,7 @@ def main():
     words = [word for word in sys.argv[1:] if word != "--write"]
     crumple = Path(words[0]).resolve()
     with tempfile.TemporaryDirectory() as temporary:
-        text, counts = table(crumple, Path(words[1] if len(words) > 1 else temporary))
+        text, counts = tables(crumple, Path(words[1] if len(words) > 1 else temporary))
     page = PAGE.read_text()
     before, rest = page.split(BEGIN)
     old, after = rest.split(END)

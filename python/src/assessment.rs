@@ -19,6 +19,7 @@ use serde_json::Value;
 use crate::controller;
 use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
+use crate::threads::parse_threads;
 use crate::values::{json_to_python, serialize_to_python};
 
 /// Commit from which a released package was built, by `.ci/release`.
@@ -239,7 +240,7 @@ pub(crate) fn assess(
     against: Option<PathBuf>,
     evidence: Option<PathBuf>,
     fresh: bool,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<PyAssessment> {
     let stop = StopFlag::default();

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use crumple_evidence::MethodComparison;
 use crumple_measure::Specification;
 use crumple_search::falsify::FailureCriterion;
-use crumple_search::falsify::campaign::{Campaign, CampaignProgress, CampaignReport};
+use crumple_search::falsify::campaign::{
+    Campaign, CampaignError, CampaignProgress, CampaignReport,
+};
 use crumple_store::study::Study;
 use pyo3::prelude::*;
 
@@ -15,6 +17,7 @@ use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PySpace;
 use crate::search_method::{RaisedException, resolve_method};
 use crate::simulation::ESTIMATORS;
+use crate::threads::parse_threads;
 use crate::values::{parse_choice, serialize_to_python};
 
 /// Searches a space for counterexamples. Returns the report of `crumple falsify` as data and as text.
@@ -36,7 +39,7 @@ pub(crate) fn falsify<'py>(
     estimator: &str,
     folder: PathBuf,
     resume: bool,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let stop = StopFlag::default();
@@ -55,7 +58,7 @@ pub(crate) fn falsify<'py>(
         })
     })?;
     raised.take()?;
-    let summary = summary.map_err(|error| wrong(py, &error))?;
+    let summary = summary.map_err(|error| campaign_error(py, &error))?;
     let report = CampaignReport::new(&summary);
     Ok((serialize_to_python(py, &report)?, summary.to_text()))
 }
@@ -77,7 +80,7 @@ pub(crate) fn compare<'py>(
     budget: u64,
     seed: u64,
     estimator: &str,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let stop = StopFlag::default();
@@ -96,7 +99,7 @@ pub(crate) fn compare<'py>(
         MethodComparison::run(&campaign, &methods, seeds, &observe)
     })?;
     raised.take()?;
-    let compared = compared.map_err(|error| wrong(py, &error))?;
+    let compared = compared.map_err(|error| campaign_error(py, &error))?;
     Ok((serialize_to_python(py, &compared)?, compared.to_text()))
 }
 
@@ -141,6 +144,19 @@ fn campaign<'py>(
             .map_err(|error| wrong(py, &format!("spec: {error}")))?,
         ..Campaign::new(controller::resolve_controller(controller, stop)?, space)
     })
+}
+
+fn campaign_error(py: Python<'_>, error: &CampaignError) -> PyErr {
+    match error {
+        CampaignError::Work(error) => {
+            errors::run_folder_exception(py, ExceptionClass::Campaign, error, "folder")
+        }
+        CampaignError::OutOfRange(error) => {
+            let location = (None, None, Some(error.field.as_str()));
+            errors::exception_at(py, ExceptionClass::Campaign, error, location)
+        }
+        other => wrong(py, other),
+    }
 }
 
 fn wrong(py: Python<'_>, error: &dyn std::fmt::Display) -> PyErr {

@@ -7,6 +7,7 @@ use crumple_core::text_file::FileError;
 use crumple_sim::scenario::InvalidField;
 use crumple_sim::scenario::file::ScenarioFileError;
 use crumple_spaces::FindSpaceError;
+use crumple_store::run_folder::RunFolderError;
 use pyo3::prelude::*;
 
 /// Exceptions, without the end `Error` of their names.
@@ -105,8 +106,45 @@ pub(crate) fn exception_at(
     let message = shorten_message(&error.to_string()).into_owned();
     let file = file.map(|file| file.display().to_string());
     let field = field.map(|field| shorten_message(field).into_owned());
-    py.import("crumple.errors")
-        .and_then(|module| module.getattr(format!("{class:?}Error")))
+    self::class(py, class)
         .and_then(|class| class.call1((message, file, line, field)))
         .map_or_else(|error| error, PyErr::from_value)
+}
+
+/// Returns the Python class of an exception.
+pub(crate) fn class(py: Python<'_>, class: ExceptionClass) -> PyResult<Bound<'_, PyAny>> {
+    py.import("crumple.errors")?
+        .getattr(format!("{class:?}Error"))
+}
+
+/// Creates an exception for a run folder that cannot be used. It names the arguments of Python in place of options;
+/// `argument` is that of the folder.
+pub(crate) fn run_folder_exception(
+    py: Python<'_>,
+    class: ExceptionClass,
+    error: &RunFolderError,
+    argument: &str,
+) -> PyErr {
+    match error {
+        RunFolderError::AlreadyExists { folder, kind } => {
+            let problem = format!(
+                "{argument}: {} already holds a {kind}: use resume=True or another {argument}",
+                folder.display()
+            );
+            exception_at(
+                py,
+                class,
+                &problem,
+                (Some(folder.as_path()), None, Some(argument)),
+            )
+        }
+        RunFolderError::NoIdentity { controller, kind } => {
+            let problem = format!(
+                "identity: the controller `{controller}` states none, so its {kind} cannot be resumed; start again \
+                 without resume=True, with another {argument}"
+            );
+            exception_at(py, class, &problem, (None, None, Some("identity")))
+        }
+        other => exception(py, class, other),
+    }
 }

@@ -9,10 +9,10 @@ use crumple_core::observer::{RunProgress, Stopped};
 use crumple_evidence::exposure::{DEFAULT_RUNS_PER_RESAMPLE, MIN_RESAMPLES, RatePerExposure};
 use crumple_evidence::{
     BlockSource, CERTIFICATE_FILE, CountProgress, CountReport, CountResult, CountedBlock,
-    CountedBlocks, PoolCheck, RateConfig, RateFolderError, RatePlan, RemoteCountError,
+    CountedBlocks, InvalidRate, PoolCheck, RateConfig, RateFolderError, RatePlan, RemoteCountError,
 };
 use crumple_store::study::Study;
-use crumple_verify::{Certificate, WorkLimit};
+use crumple_verify::{Certificate, Rejection, WorkLimit};
 use pyo3::prelude::*;
 
 use crate::controller;
@@ -20,6 +20,7 @@ use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{ReportProgress, StopFlag, run_interruptible, wait_interruptible};
 use crate::scenario::PySpace;
 use crate::simulation::ESTIMATORS;
+use crate::threads::parse_threads;
 use crate::values::{parse_choice, serialize_to_python};
 
 /// Fields of the Python class `Rate`.
@@ -62,7 +63,14 @@ impl CountParameters<'_> {
             confidence: self.confidence,
             ..RateConfig::new(controller, self.space.0.clone(), self.runs)
         };
-        RatePlan::new(config).map_err(|error| rate_error(py, &error))
+        RatePlan::new(config).map_err(|error| match error {
+            InvalidRate::NoIdentity { controller } => {
+                let problem = format!("identity: the controller `{controller}` states none");
+                rate_error_of(py, &format!("{problem}; {NEEDED_IDENTITY}"), "identity")
+            }
+            InvalidRate::OutOfRange(error) => rate_error_of(py, &error, &error.field),
+            other => rate_error(py, &other),
+        })
     }
 }
 
@@ -80,7 +88,7 @@ pub(crate) fn rate<'py>(
     folder: PathBuf,
     is_temporary: bool,
     resume: bool,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     counter: Option<Py<PyAny>>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<RateFields<'py>> {
@@ -105,7 +113,12 @@ pub(crate) fn rate<'py>(
             counted
         }
     };
-    let counted = counted.map_err(|error: RateFolderError| rate_error(py, &error))?;
+    let counted = counted.map_err(|error: RateFolderError| match error {
+        RateFolderError::RunFolder(error) => {
+            errors::run_folder_exception(py, ExceptionClass::Rate, &error, "folder")
+        }
+        other => rate_error(py, &other),
+    })?;
     let exposed = rate_per_exposure(py, &plan, &counted, &stop, threads, progress.as_ref())?;
     let path = folder.join(CERTIFICATE_FILE);
     let report = CountReport::new(&plan, &counted, folder, path).with_exposure(exposed);
@@ -123,7 +136,7 @@ pub(crate) fn count_blocks(
     parameters: CountParameters<'_>,
     first: u64,
     end: u64,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
 ) -> PyResult<String> {
     let stop = StopFlag::default();
     let plan = parameters.to_plan(py, &stop)?;
@@ -246,7 +259,7 @@ impl<'py> RateFields<'py> {
         let certificate = counted.certificate.as_ref();
         let words = match certificate {
             Ok(_) => report.conclusion().unwrap_or_default().to_owned(),
-            Err(rejection) => rejection.to_string(),
+            Err(rejection) => describe_rejection(rejection),
         };
         Ok(Self {
             tally: serialize_to_python(py, &counted.tally)?,
@@ -265,9 +278,35 @@ fn check_resamples(py: Python<'_>, resamples: u32) -> PyResult<u32> {
     if (1..MIN_RESAMPLES).contains(&resamples) {
         let problem =
             format!("resamples: must be 0 or at least {MIN_RESAMPLES}, found {resamples}");
-        return Err(rate_error(py, &problem));
+        return Err(rate_error_of(py, &problem, "resamples"));
     }
     Ok(resamples)
+}
+
+/// Rule for the identity of a controller in Python whose failures are counted.
+const NEEDED_IDENTITY: &str = "a count has a certificate only if the `identity` of each controller in Python is a \
+    SHA-256 (64 hexadecimal digits in lower case), for example of the file that defines it";
+
+/// Returns the reason why there is no certificate.
+fn describe_rejection(rejection: &Rejection) -> String {
+    match rejection {
+        Rejection::Invalid { field, .. } if CONTROLLER_HASHES.contains(&field.as_str()) => {
+            format!("{rejection}: {NEEDED_IDENTITY}")
+        }
+        other => other.to_string(),
+    }
+}
+
+/// Fields of a registration with the identities of controllers.
+const CONTROLLER_HASHES: [&str; 2] = [
+    "registration.configuration.controller_sha256",
+    "registration.configuration.against_sha256",
+];
+
+/// Creates the exception of an argument.
+fn rate_error_of(py: Python<'_>, error: &impl std::fmt::Display, argument: &str) -> PyErr {
+    let location = (None, None, Some(argument));
+    errors::exception_at(py, ExceptionClass::Rate, error, location)
 }
 
 fn rate_error(py: Python<'_>, error: &dyn std::fmt::Display) -> PyErr {

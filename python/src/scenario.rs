@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use super::controller::controllers;
+use crumple_search::falsify::campaign::MAX_SEED;
 use crumple_sim::scenario::{self, built_in_scenario, built_in_scenario_names, file};
 use crumple_spaces::find_space;
 use pyo3::prelude::*;
 
 use crate::errors::{self, ExceptionClass};
-use crate::values::serialize_to_python;
+use crate::values::{parse_whole_number, serialize_to_python};
 
 /// Valid scenario.
 #[pyclass(name = "Scenario", frozen, eq, module = "crumple")]
@@ -81,7 +82,9 @@ impl PyScenario {
         self.0.spec().step_s
     }
 
-    fn with_seed(&self, py: Python<'_>, seed: u64) -> PyResult<Self> {
+    fn with_seed(&self, seed: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let py = seed.py();
+        let seed = parse_whole_number("seed", seed, [0, MAX_SEED], ExceptionClass::Scenario)?;
         self.0
             .edited(|spec| spec.seed = seed)
             .map(Self)
@@ -177,9 +180,13 @@ impl PySpace {
     }
 
     /// Returns the random scenario with this index.
-    fn draw(&self, py: Python<'_>, seed: u64, index: u64) -> PyResult<PyScenario> {
+    fn draw(&self, seed: &Bound<'_, PyAny>, index: &Bound<'_, PyAny>) -> PyResult<PyScenario> {
+        let py = seed.py();
+        let [seed, index] = [("seed", seed), ("index", index)].map(|(name, value)| {
+            parse_whole_number(name, value, [0, u64::MAX], ExceptionClass::Space)
+        });
         self.0
-            .draw(seed, index)
+            .draw(seed?, index?)
             .map(PyScenario)
             .map_err(|error| errors::field_exception(py, &error))
     }

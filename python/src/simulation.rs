@@ -24,6 +24,7 @@ use crate::figure::PyFigure;
 use crate::interruptible::{ProgressCounts, StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::table;
+use crate::threads::parse_threads;
 use crate::values::{parse_choice, serialize_to_python};
 
 const MISSING_TRACE: &str = "the simulation kept no trace: simulate with trace=True";
@@ -512,7 +513,7 @@ pub(crate) fn simulate(
     dt_s: Option<f64>,
     after_collision: &str,
     trace: bool,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Vec<Simulation>> {
     let stop = StopFlag::default();

@@ -17,6 +17,24 @@ struct Pools {
     default_count: Option<usize>,
 }
 
+/// Parses the argument `threads`.
+///
+/// # Errors
+/// `ValueError` for anything else than None and a whole number in range.
+pub(crate) fn parse_threads(argument: &Bound<'_, PyAny>) -> PyResult<Option<usize>> {
+    if argument.is_none() {
+        return Ok(None);
+    }
+    let count: Option<usize> = argument.extract().ok();
+    match count.filter(|count| (1..=MAX_THREADS).contains(count)) {
+        Some(count) => Ok(Some(count)),
+        None => Err(PyValueError::new_err(format!(
+            "threads: must be a whole number from 1 to {MAX_THREADS}, found {}",
+            argument.repr()?
+        ))),
+    }
+}
+
 static POOLS: Mutex<Pools> = Mutex::new(Pools {
     process: 0,
     by_count: BTreeMap::new(),
@@ -30,13 +48,8 @@ static POOLS: Mutex<Pools> = Mutex::new(Pools {
 /// because creating one takes longer than a small controller.
 ///
 /// # Errors
-/// `ValueError` if the number is out of range, or the environment has a text instead; `RuntimeError` if the system
-/// cannot start threads.
+/// `ValueError` if the environment has no usable number; `RuntimeError` if the system cannot start threads.
 pub(crate) fn pool(requested: Option<usize>) -> PyResult<Arc<ThreadPool>> {
-    if requested.is_some_and(|count| !(1..=MAX_THREADS).contains(&count)) {
-        let problem = format!("threads: must be from 1 to {MAX_THREADS}");
-        return Err(PyValueError::new_err(problem));
-    }
     let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
     if pools.process != process::id() {
         // The pools of a parent process have no threads here, so dropping one would wait forever.

@@ -14,6 +14,7 @@ use crate::controller::controllers;
 use crate::episodes::load_training_config;
 use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
+use crate::threads::parse_threads;
 use crate::values::serialize_to_python;
 
 /// Trains the policy of one seed in the folder `seed-N` of `out`, as `crumple train` does. Returns the content of
@@ -35,7 +36,7 @@ pub(crate) fn train<'py>(
     spaces: Vec<(String, f64)>,
     episodes: Option<u64>,
     resume: bool,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let config = read_config(py, preset, &spaces, episodes)?;
@@ -63,7 +64,12 @@ pub(crate) fn train<'py>(
             say((done, config.episodes, earlier + better))
         })
     })?;
-    let result = trained.map_err(|error: TrainingError| training_error(py, &error))?;
+    let result = trained.map_err(|error: TrainingError| match error {
+        TrainingError::RunFolder(error) => {
+            errors::run_folder_exception(py, ExceptionClass::Training, &error, "out")
+        }
+        other => training_error(py, &other),
+    })?;
     let table = format_table(
         std::slice::from_ref(&result),
         config.evaluation.ranking_draws,

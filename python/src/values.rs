@@ -5,6 +5,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyList, PyString};
 use serde_json::Value;
 
+use crate::errors::{self, ExceptionClass};
+
 /// Converts JSON to dictionaries, lists, numbers and strings; numbers keep every bit.
 pub(crate) fn json_to_python<'py>(py: Python<'py>, value: &Value) -> PyResult<Bound<'py, PyAny>> {
     Ok(match value {
@@ -40,6 +42,21 @@ pub(crate) fn serialize_to_python<'py>(
     let value =
         serde_json::to_value(value).map_err(|error| PyValueError::new_err(error.to_string()))?;
     json_to_python(py, &value)
+}
+
+/// Parses an argument that is a whole number, with the error of `whole_number` of the Python half.
+pub(crate) fn parse_whole_number(
+    name: &str,
+    value: &Bound<'_, PyAny>,
+    [min, max]: [u64; 2],
+    class: ExceptionClass,
+) -> PyResult<u64> {
+    let py = value.py();
+    let numbers = py.import("crumple._numbers")?;
+    let error = errors::class(py, class)?;
+    numbers
+        .call_method1("whole_number", (name, value, min, max, error))?
+        .extract()
 }
 
 /// Parses a value that is one of a few words.

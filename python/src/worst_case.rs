@@ -12,6 +12,7 @@ use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PyScenario;
 use crate::simulation::ESTIMATORS;
+use crate::threads::parse_threads;
 use crate::values::{parse_choice, serialize_to_python};
 
 /// Searches for a braking profile of the leader. Returns its scenario, and the report of `crumple worst-case` as data
@@ -30,7 +31,7 @@ pub(crate) fn worst_case<'py>(
     max_brake_mps2: Option<f64>,
     jerk_mps3: Option<f64>,
     budget: u32,
-    threads: Option<usize>,
+    #[pyo3(from_py_with = parse_threads)] threads: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Option<PyScenario>, Bound<'py, PyAny>, String)> {
     if !(1..=MAX_SIMULATIONS).contains(&budget) {

@@ -2,10 +2,12 @@
 
 import copyreg
 import hashlib
+import itertools
 import json
 import multiprocessing
 import os
 import pickle
+import re
 import subprocess
 import sys
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -217,8 +219,62 @@ def test_a_worker_with_one_core_starts_one_thread():
 
 
 def test_threads_are_in_range():
-    with pytest.raises(ValueError, match="threads: must be from 1 to 1024"):
-        crumple.simulate("paper-1", threads=0)
+    for wrong in (0, -1, 1025, 2**70, 1.5, "two"):
+        with pytest.raises(ValueError, match="threads: must be a whole number from 1 to 1024, found "):
+            crumple.simulate("paper-1", threads=wrong)
+
+
+@pytest.mark.parametrize("wrong", [-1, 2**70, 1.5, "three", None])
+def test_errors_name_the_number_that_is_wrong(wrong):
+    space, known = crumple.space("high-risk"), crumple.Controller(brake_late, identity="late")
+    calls = [
+        ("runs", lambda: crumple.rate(known, runs=wrong)),
+        ("resamples", lambda: crumple.rate(known, runs=10, resamples=wrong)),
+        ("tasks", lambda: crumple.rate(known, runs=10, tasks=wrong)),
+        ("seed", lambda: crumple.rate(known, runs=10, seed=wrong)),
+        ("budget", lambda: crumple.falsify(known, budget=wrong)),
+        ("seed", lambda: crumple.falsify(known, seed=wrong)),
+        ("seeds", lambda: crumple.compare(known, methods=["uniform"], seeds=wrong)),
+        ("seed", lambda: crumple.train(seed=[0, wrong])),
+        ("index", lambda: space.draw(seed=0, index=wrong)),
+        ("seed", lambda: space.draw(seed=wrong, index=0)),
+        ("seed", lambda: space.nominal().with_seed(wrong)),
+    ]
+    for name, call in calls:
+        with pytest.raises(crumple.CrumpleError, match=f"^{name}: must be a whole number from ") as raised:
+            call()
+        assert raised.value.field == name
+
+
+def test_repeated_seeds_are_refused_before_any_work(tmp_path):
+    calls = [
+        lambda **options: crumple.falsify("baseline", seed=[3, 5, 3], folder=tmp_path / "falsify", **options),
+        lambda **options: crumple.train("fast", [3, 5, 3], tmp_path / "train", **options),
+    ]
+    with ThreadPoolExecutor(1) as executor:
+        for call, options in itertools.product(calls, ({}, {"executor": executor})):
+            with pytest.raises(crumple.CrumpleError, match=r"^seed: 3 occurs twice$"):
+                call(**options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_errors_about_a_folder_name_arguments_of_python(tmp_path):
+    calls = [
+        ("folder", lambda: crumple.rate("baseline", runs=30, folder=tmp_path / "rate")),
+        ("folder", lambda: crumple.falsify("baseline", budget=20, folder=tmp_path / "falsify")),
+        ("out", lambda: crumple.train("fast", 3, tmp_path / "train", episodes=1)),
+    ]
+    for name, call in calls:
+        call()
+        advice = rf"^{name}: .* already holds a .*: use resume=True or another {name}$"
+        with pytest.raises(crumple.CrumpleError, match=advice) as raised:
+            call()
+        assert raised.value.field == name
+        assert Path(raised.value.file).is_relative_to(tmp_path)
+    unknown = crumple.Controller(brake_late)
+    crumple.falsify(unknown, budget=20, folder=tmp_path / "unknown")
+    with pytest.raises(crumple.CampaignError, match=r"^identity: .* without resume=True, with another folder$"):
+        crumple.falsify(unknown, budget=20, folder=tmp_path / "unknown", resume=True)
 
 
 def test_simulations_on_workers_are_the_same(processes):
@@ -369,6 +425,10 @@ def test_counts_of_a_python_controller_are_pooled_if_its_identity_is_a_hash():
     assert crumple.rate.pool(counts, seeds=range(2)).failures == counts[0].failures + counts[1].failures
     other = crumple.rate(OWN, "high-risk", runs=50)
     assert other.certificate is None
+    needed = r"only if the `identity` of each controller in Python is a SHA-256"
+    assert re.search(needed, other.words)
+    with pytest.raises(crumple.RateError, match=rf"^identity: the controller `python` states none; .* {needed}"):
+        crumple.rate(crumple.Controller(brake_late), "high-risk", runs=50)
     with pytest.raises(crumple.RateError, match=r"cannot be pooled: `registration\.configuration\.controller_sha256`"):
         crumple.rate.pool([other])
 

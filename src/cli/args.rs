@@ -91,10 +91,15 @@ pub(super) fn parse_specification(
 ) -> Result<Specification, CliError> {
     let read = Specification::parse(text, nominal)
         .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
-    if let Some(warning) = read.warning() {
+    note_warning(&read, quiet);
+    Ok(read)
+}
+
+/// Prints the warning of a specification, if it has one.
+pub(super) fn note_warning(specification: &Specification, quiet: bool) {
+    if let Some(warning) = specification.warning() {
         output::note(&format!("warning: --spec: {warning}"), quiet);
     }
-    Ok(read)
 }
 
 /// An error of an argument for clap. Its sources determine the exit code.

@@ -16,10 +16,10 @@ use crumple_store::disk::StagedFiles;
 /// Output options.
 #[derive(Args)]
 pub(super) struct ArtifactArgs {
-    /// Write the scenario found, for `crumple simulate`; replaces an existing file
+    /// Write the resulting scenario, for `crumple simulate`: the escape, or the worst case; replaces an existing file
     #[arg(long, value_name = "F.toml")]
     out: Option<PathBuf>,
-    /// Plot the scenario found; replaces an existing file
+    /// Plot the resulting scenario; replaces an existing file
     #[arg(
         long,
         value_name = "F.svg|F.png",

@@ -45,8 +45,9 @@ fn long_help() -> String {
     let compared = AssessConfig::default().controllers.join(", ");
     format!(
         "Without a file, `assess` compares {compared}. It simulates the paper's scenarios, 1000 random scenarios of \
-         the paper's distribution and 200 each of `traffic` and `high-risk`, and searches for failures. For each \
-         scenario it searches for the best escape (see `crumple avoid`). It checks all certificates. {CONFIGURATION}"
+         the paper's distribution, 200 each of `traffic` and `high-risk`, and 1400 each of `followers` and `everyday`, \
+         and searches for failures. For each scenario it searches for the best escape (see `crumple avoid`). It checks \
+         all certificates. {CONFIGURATION}"
     )
 }
 
@@ -121,7 +122,7 @@ impl Assess {
             (Some(path), _) => AssessmentPlan::load(path, global.controllers)
                 .map_err(|error| explain_configuration(path, error))?,
             (None, Some(own)) => {
-                let config = AssessConfig::for_own_controller(&own.name);
+                let config = AssessConfig::for_own_controller(own);
                 AssessmentPlan::new(config, [own.clone()], Path::new(""))?
             }
             (None, None) => AssessmentPlan::built_in()?,

@@ -25,7 +25,7 @@ use crumple_sim::engine::NamedController;
 use crumple_sim::policy::Policy;
 use crumple_sim::scenario::Scenario;
 
-/// Accept or reject certificates with the small checker alone
+/// Accept or reject certificates with a small, independent checker
 #[derive(Args)]
 #[command(after_long_help = "\
 The checker (crate crumple-verify) uses no code of the simulator, the search or the solver: it reads the file \
@@ -245,21 +245,7 @@ impl Check {
                 .as_deref()
                 .filter(|path| is_network_source(path))
         {
-            let file = source.display();
-            let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
-                ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => {
-                    CliError::Input(format!(
-                        "{file}: is a network that needs a controller file; give the controller file of the \
-                         certificate with --policy"
-                    ))
-                }
-                other => CliError::from_cause(other),
-            })?;
-            let bytes = checker_file(&read)
-                .map_err(|invalid| CliError::Input(format!("{file}: {invalid}")))?;
-            return bytes
-                .map(Some)
-                .ok_or_else(|| CliError::Input(format!("{file}: is not a network")));
+            return read_network(source).map(Some);
         }
         let policy = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
@@ -299,6 +285,23 @@ fn refusal_message(all: &[CertificateReport<'_>]) -> Option<String> {
     .map(|(reason, paths)| format!("{reason}: {}", paths.join(", ")))
     .collect();
     (!parts.is_empty()).then(|| parts.join("; "))
+}
+
+/// Returns the source of a network in the form for the checker.
+fn read_network(source: &Path) -> Result<Vec<u8>, CliError> {
+    let file = source.display();
+    let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
+        ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => {
+            CliError::Input(format!(
+                "{file}: is a network that needs a controller file; give the controller file of the certificate with \
+                 --policy"
+            ))
+        }
+        other => CliError::from_cause(other),
+    })?;
+    checker_file(&read)
+        .map_err(|invalid| CliError::Input(format!("{file}: {invalid}")))?
+        .ok_or_else(|| CliError::Input(format!("{file}: is not a network")))
 }
 
 /// Returns true if a file is the source of a network, which the checker does not read.

@@ -19,9 +19,9 @@ modelDescription.xml.
 
 For a model of Stable-Baselines3 it prints the algorithm, the spaces of observations and actions, and whether the \
 model was trained with VecNormalize; for any network it prints the layers. The output is a controller file that \
-runs, with this information as comments. No file states which quantity each input is, in which order and unit: \
-correct these guesses before you rely on a result. The controller file contains the path of the network as given \
-here, relative to the folder of the controller file.
+runs, with this information as comments. No file of a network states which quantity each input is, in which order \
+and unit, so the printed file has guesses: correct them before you rely on a result. It contains the path of the \
+network as given here, which crumple reads relative to the folder of the controller file.
 
 Examples:
   crumple describe ppo.zip

@@ -81,7 +81,7 @@ impl DoctorReport {
         );
         match &self.program_sha256 {
             Some(identity) => {
-                let _ = writeln!(text, "  this program is {identity}");
+                let _ = writeln!(text, "  SHA-256 of this program: {identity}");
             }
             None => text.push_str(
                 "  crumple cannot read its program file, so it cannot resume interrupted work\n",
@@ -152,8 +152,8 @@ fn dependencies() -> Vec<Dependency> {
         Dependency {
             name: "cargo-fuzz",
             found: find_program("cargo-fuzz").map(display_path),
-            used_for: "`cargo fuzz run scenario`, in a clone",
-            install: "cargo install cargo-fuzz, and a nightly toolchain",
+            used_for: "`cargo fuzz run scenario -s none`, in a clone",
+            install: "cargo install cargo-fuzz",
         },
     ]
 }

@@ -24,22 +24,23 @@ pub(super) struct DriveCommand<'a> {
     pub(super) quiet: bool,
 }
 
-impl DriveCommand<'_> {
-    fn load(&self, controllers: Controllers) -> Result<DriveSet, CliError> {
-        DriveSet::load(self.folder, &controllers).map_err(|error| match error {
-            DriveSetError::File(error) => error.into(),
-            other => CliError::about("--drives", other),
-        })
-    }
+/// Loads the folder of `--drives`.
+pub(super) fn load_drives(folder: &Path, controllers: Controllers) -> Result<DriveSet, CliError> {
+    DriveSet::load(folder, &controllers).map_err(|error| match error {
+        DriveSetError::File(error) => error.into(),
+        other => CliError::about("--drives", other),
+    })
+}
 
+impl DriveCommand<'_> {
     fn options(&self) -> RunOptions {
         RunOptions::new(self.controller.source.clone()).with_estimator(self.estimator)
     }
 
     /// Counts failures, with their rates.
     pub(super) fn count(&self, controllers: Controllers) -> Result<(), CliError> {
-        let drives = self.load(controllers)?;
-        let bar = progress::run_bar("driving", drives.run_count(), self.quiet);
+        let drives = load_drives(self.folder, controllers)?;
+        let bar = progress::run_bar("driving", drives.max_run_count(), self.quiet);
         let runs = progress::show(&bar, |observer| drives.run(&self.options(), observer));
         let report = DriveReport::new(
             &self.controller.name,
@@ -57,13 +58,12 @@ impl DriveCommand<'_> {
         spec: &str,
         out: &Path,
     ) -> Result<DriveSearch, CliError> {
-        let drives = self.load(controllers)?;
-        let Some(first) = drives.drives().first() else {
-            return Err(CliError::at(self.folder, "holds no drive"));
-        };
-        let specification = args::parse_specification(spec, &first.scenario, self.quiet)?;
+        let drives = load_drives(self.folder, controllers)?;
+        let specification = DriveSearch::parse_specification(spec, &drives)
+            .map_err(|error| CliError::about("--spec", error))?;
+        args::note_warning(&specification, self.quiet);
         let folder = OutputFolder::with_listing(out, LISTING_FILE)?;
-        let bar = progress::run_bar("driving", drives.drives().len() as u64, self.quiet);
+        let bar = progress::run_bar("driving", drives.max_run_count(), self.quiet);
         let subject = (self.controller.name.as_str(), self.options());
         let report = progress::show(&bar, |observer| {
             DriveSearch::run(&drives, subject, (spec, &specification), observer)

@@ -48,7 +48,8 @@ pub(super) struct Explore {
     /// Port; 0 for any free port
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u16>(0..=65_535))]
     port: u16,
-    /// Initial controller (see `crumple list controllers`), with settings, a file or a command after `exec:`; up to 4
+    /// Initial controller: a name (see `crumple list controllers`), which may have settings, a file, or a command after
+    /// `exec:`; up to 4
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Vec<NamedController>,
     /// Initial estimator of the vehicles under test

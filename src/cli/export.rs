@@ -3,15 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
-use serde::Serialize;
 
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::value_enums::AfterCollisionArgs;
 use super::{CliError, args, output, value_enums};
 use crumple_controllers::Controllers;
-use crumple_core::quoting::TerminalText;
-use crumple_exchange::openscenario::export::{self as openscenario, OpenScenario};
+use crumple_exchange::openscenario::export::{
+    self as openscenario, ExportReport, ExportedController, ExportedScenario, OpenScenario,
+};
 use crumple_search::falsify::counterexample::VerdictRecordReader;
 use crumple_sim::control::{BuiltInController, IntoSource};
 use crumple_sim::engine::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
@@ -28,8 +28,8 @@ A counterexample of a campaign is simulated with the controller and the estimato
 --controller names another. crumple looks for the file of the controller in the folder of the counterexample and in \
 the current one and, if the record has its hash, in all folders above the counterexample. It starts a program only \
 with --allow-external. `--as trajectories` (the default) simulates the scenario and writes the motion of every \
-vehicle: timed polylines, followed by position in absolute time, within 2 mm of the simulation. A simulation that \
-ends with a collision ends there. `--as actions` writes the actions of the scripted vehicles with triggers; every \
+vehicle: polylines with absolute times, in the mode `position`, within 2 mm of the simulation. If the simulation ends \
+with a collision, they end there, too. `--as actions` writes the actions of the scripted vehicles with triggers; every \
 other vehicle has a controller, `under-test` or the name of its driver, that you supply in the other simulator.
 
 OpenSCENARIO positions refer to the rear axle, which crumple places a fifth of the vehicle's length ahead of the \
@@ -74,22 +74,19 @@ pub(super) struct Export {
     format: OutputFormat,
 }
 
-#[derive(Serialize)]
-struct ExportedScenario {
-    scenario: String,
-    openscenario: String,
-    opendrive: String,
-    vehicles: usize,
-    vertices: usize,
-    /// Controller of the vehicles under test; `None` without such a vehicle, or if the user supplies the controller.
-    controller: Option<String>,
-    estimator: Option<&'static str>,
-}
-
 /// Controller and estimator of the vehicles under test.
 struct ExportController {
     controller: NamedController,
     estimator: EstimatorKind,
+}
+
+impl ExportController {
+    fn describe(&self) -> ExportedController<'_> {
+        ExportedController {
+            name: &self.controller.name,
+            estimator: self.estimator,
+        }
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
@@ -107,26 +104,6 @@ enum ExportContent {
     Actions,
 }
 
-impl ExportedScenario {
-    fn to_line(&self) -> String {
-        let controller = match (&self.controller, self.estimator) {
-            (Some(controller), Some(estimator)) => {
-                format!(
-                    ", under {}, estimator {estimator}",
-                    TerminalText(controller)
-                )
-            }
-            _ => String::new(),
-        };
-        format!(
-            "{}: {} vehicles, {} vertices{controller}\n",
-            TerminalText(&self.openscenario),
-            self.vehicles,
-            self.vertices
-        )
-    }
-}
-
 impl Export {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
@@ -134,7 +111,7 @@ impl Export {
         self.check_options()?;
         let folder = OutputFolder::with_listing(&self.out, "exported.sha256")?;
         let mut files = Vec::new();
-        let mut exported = Vec::new();
+        let mut report = ExportReport::default();
         let mut names = Vec::new();
         for path in &self.scenarios {
             let scenario = args::load_scenario(path, controllers)?;
@@ -148,22 +125,17 @@ impl Export {
             let driven = self.controller_setup(path, &scenario, controllers)?;
             let documents = self.export(&scenario, driven.as_ref(), &road, quiet)?;
             let storyboard = format!("{name}.xosc");
-            exported.push(ExportedScenario {
-                scenario: scenario.spec().name.clone(),
-                openscenario: self.out.join(&storyboard).display().to_string(),
-                opendrive: self.out.join(&road).display().to_string(),
-                vehicles: scenario.vehicles().len(),
-                vertices: documents.vertices,
-                controller: driven.as_ref().map(|driven| driven.controller.name.clone()),
-                estimator: driven.as_ref().map(|driven| driven.estimator.name()),
-            });
+            report.scenarios.push(ExportedScenario::new(
+                &scenario,
+                &documents,
+                [&self.out.join(&storyboard), &self.out.join(&road)],
+                driven.as_ref().map(ExportController::describe),
+            ));
             files.extend([(storyboard, documents.scenario), (road, documents.road)]);
             names.push(name);
         }
         folder.write(&files, EarlierFiles::Keep)?;
-        output::print_result(self.format, &exported, || {
-            exported.iter().map(ExportedScenario::to_line).collect()
-        })
+        output::print_result(self.format, &report, || report.to_text())
     }
 
     fn check_options(&self) -> Result<(), CliError> {

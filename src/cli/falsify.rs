@@ -54,7 +54,9 @@ million evaluations need 360 MB, and in the space `paper` about six minutes on t
 
 With --drives, the domain is a folder of recorded drives. The controller drives each of them once: there is no search, \
 no shrinking and no replay. The folder of --out receives the failed drives, the severest first (`counterexamples/`), \
-and `drives.json`. A collision from behind with a vehicle that repeats recorded speeds is no failure.
+and `drives.json`. A collision from behind with a vehicle that repeats recorded speeds is no failure. A drive that \
+fails by unnecessary braking or by its formula is simulated again without the vehicle behind. If it then passes, it \
+is counted separately, and is no failure.
 
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline

@@ -61,8 +61,9 @@ pub(super) struct Fit {
     #[arg(value_parser = args::whole_number::<u8>(2..=MAX_VEHICLES as u64))]
     vehicles: u8,
     /// Driver of the last of three or more vehicles: a built-in controller or the model of a car, with its settings
-    #[arg(long, value_name = "DRIVER", default_value = "baseline", value_parser = parse_follower)]
-    follower: BuiltInController,
+    /// [default: baseline]
+    #[arg(long, value_name = "DRIVER", value_parser = parse_follower)]
+    follower: Option<BuiltInController>,
     /// Name of the scenario space: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]
     name: String,
@@ -86,6 +87,8 @@ pub(super) struct Fit {
     format: OutputFormat,
 }
 
+const DEFAULT_FOLLOWER: &str = "baseline";
+
 fn parse_follower(text: &str) -> Result<BuiltInController, String> {
     match BuiltInController::parse(text) {
         Some(controller) => controller.map_err(|error| error.to_string()),
@@ -102,6 +105,7 @@ fn space_path() -> impl TypedValueParser<Value = PathBuf> {
 
 impl Fit {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        let follower = self.follower()?;
         let map = self.map.as_deref().map(load_map).transpose()?;
         let extraction = ExtractionConfig {
             vehicles: usize::from(self.vehicles),
@@ -112,7 +116,7 @@ impl Fit {
         let sample = self.collect_episodes(map.as_ref(), extraction, quiet)?;
         let options = FitOptions {
             name: self.name.clone(),
-            follower: self.follower.clone(),
+            follower,
             samples: self.samples,
             seed: self.seed,
         };
@@ -121,6 +125,18 @@ impl Fit {
         let report = FitReport::new(&sample, &fitted);
         let object = report.to_json().map_err(CliError::input)?;
         output::print_result(self.format, &object, || report.to_text())
+    }
+
+    /// Returns the driver of the last of three or more vehicles; of two, the last one is under test.
+    fn follower(&self) -> Result<BuiltInController, CliError> {
+        match &self.follower {
+            Some(_) if self.vehicles < 3 => Err(CliError::Input(
+                "--follower: needs --vehicles 3 or more; of two vehicles, the last one is under test"
+                    .to_owned(),
+            )),
+            Some(follower) => Ok(follower.clone()),
+            None => parse_follower(DEFAULT_FOLLOWER).map_err(CliError::Input),
+        }
     }
 
     fn collect_episodes(

@@ -177,6 +177,20 @@ fn unread_columns(names: &[String]) -> Option<String> {
     })
 }
 
+/// Returns a note about other units and signs with which a draft fits as well; `None` if there are none.
+fn other_readings(readings: &[String]) -> Option<String> {
+    const MAX_NAMED: usize = 3;
+    let named = readings.iter().take(MAX_NAMED);
+    let named: Vec<&str> = named.map(String::as_str).collect();
+    let others = match readings.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        count => format!("; and {count} more"),
+    };
+    let named = named.join("; ");
+    (!readings.is_empty())
+        .then(|| format!("note: other units or signs fit as well: {named}{others}"))
+}
+
 fn note_dropped(report: &ImportReport, quiet: bool) {
     for dropped in &report.dropped {
         output::note(dropped, quiet);
@@ -247,8 +261,12 @@ impl Import {
             "note: check the draft: the columns do not show bumpers, lengths and ids",
             quiet,
         );
-        if let Some(unread) = unread_columns(&draft.unread) {
-            output::note(&unread, quiet);
+        let notes = [
+            other_readings(&draft.other_readings),
+            unread_columns(&draft.unread),
+        ];
+        for note in notes.iter().flatten() {
+            output::note(note, quiet);
         }
         let text = draft.map.to_toml().map_err(CliError::input)?;
         output::print_result(self.format, &draft.map, || text)

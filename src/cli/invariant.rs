@@ -59,7 +59,7 @@ pub(super) struct InvariantCommand {
     /// Largest gap of the region, in metres
     #[arg(long, value_name = "M", default_value_t = 100.0, value_parser = |text: &str| parse_up_to(text, 1e4))]
     gap: f64,
-    /// Gap beyond which the claim ends, in metres, for controllers that drive only up to a gap; default: never
+    /// Gap beyond which the claim ends, in metres, for controllers that are made for gaps up to this one; default: none
     #[arg(long, value_name = "M", value_parser = args::number)]
     end_beyond_gap: Option<f64>,
     /// Own speeds of the region in m/s; with --plant relative, closing speeds

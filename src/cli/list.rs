@@ -22,7 +22,7 @@ const SHIELD_ENTRY: (&str, &str) = (
 const TWO_SIDED_SHIELD_ENTRY: (&str, &str) = (
     "shield2:policy",
     "policy with a two-sided shield: passes a command only if, after it, a plan avoids collisions with the leader and \
-     with a follower of the stated class, and otherwise executes its plan; shield2: works with any controller",
+     with a follower of the stated class; shield2: works with any controller",
 );
 
 const FILE_ENTRY: (&str, &str) = (
@@ -33,7 +33,7 @@ const FILE_ENTRY: (&str, &str) = (
 
 /// List the built-in scenarios, controllers, scenario spaces and search methods
 ///
-/// `crumple show NAME` prints a scenario, a scenario space, a preset, a suite or a map as a file.
+/// `crumple show NAME` prints a scenario, a scenario space, a vehicle class, a preset, a suite or a map as a file.
 #[derive(Args)]
 pub(super) struct ListCommand {
     /// Items to list [default: all kinds]

@@ -87,18 +87,23 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Set up", SETUP),
 ];
 const SETUP: &[&str] = &["new", "completions", "man"];
+/// Further subcommands that start no controller, whatever they read.
+const START_NOTHING: &[&str] = &["describe", "fsck", "list", "doctor"];
+/// Version of the package and, in a release build, the commit: builds between two releases have the version of the
+/// earlier one.
+const VERSION: &str = env!("CRUMPLE_VERSION");
 /// Heading of the options in the help of every command.
 const FOR_EVERY_COMMAND: &str = "Options of every command";
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
 #[derive(Parser)]
-#[command(version, after_help = EXIT_CODES, max_term_width = 100)]
+#[command(version = VERSION, after_help = EXIT_CODES, max_term_width = 100)]
 struct Cli {
     /// Print no progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true, help_heading = FOR_EVERY_COMMAND)]
     quiet: bool,
     /// Also start programs and FMUs that scenarios, spaces, suites, campaigns or certificates name. Without it, crumple
-    /// starts only those that this command line names, or a configuration or controller file on it
+    /// starts only those named on this command line, or in a configuration or controller file that is named there
     #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND)]
     allow_external: bool,
     /// Number of threads, 1 to 1024 [default: RAYON_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
@@ -265,6 +270,7 @@ fn build_command() -> clap::Command {
         .mut_subcommands(with_exit_codes);
     SETUP
         .iter()
+        .chain(START_NOTHING)
         .fold(command, hide_external)
         .mut_subcommands(with_negative_numbers)
 }

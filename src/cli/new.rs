@@ -25,8 +25,8 @@ const TAG: &str = concat!("v", env!("CARGO_PKG_VERSION"));
 #[derive(Args)]
 #[command(after_long_help = "\
 The Rust crate has property tests, a fuzz target, gates and a GitHub workflow; the Python project has tests with \
-Hypothesis, and gates; the C project has gates. Each has a controller file, which every command accepts as \
---controller. The name of the folder is the name of the project. The README of the project lists its commands.
+Hypothesis, and gates; the C project has gates. Each has a controller file, which every command that simulates accepts \
+as --controller. The name of the folder is the name of the project. The README of the project lists its commands.
 
 Examples:
   crumple new my-controller

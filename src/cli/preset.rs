@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::drives::load_drives;
 use super::{CliError, file_kind};
 use crumple_controllers::Controllers;
 use crumple_core::text_file;
@@ -44,12 +45,28 @@ impl TrainingPreset {
     pub(super) fn into_checked_config(
         mut self,
         controllers: Controllers,
+        drives: Option<&str>,
     ) -> Result<TrainingConfig, CliError> {
         self.config.controllers = controllers;
         self.config
             .scenario_source()
             .map_err(|error| self.error_at_line(error))?;
-        Ok(self.config)
+        self.with_drives(self.config.clone(), drives)
+    }
+
+    /// Replaces the recorded drives of a configuration by those of `--drives`, if given, and states their SHA-256.
+    pub(super) fn with_drives(
+        &self,
+        mut config: TrainingConfig,
+        drives: Option<&str>,
+    ) -> Result<TrainingConfig, CliError> {
+        match drives {
+            Some(folder) => replace_drives(config, folder),
+            None => match config.state_drives() {
+                Ok(()) => Ok(config),
+                Err(error) => Err(self.error_at_line(error)),
+            },
+        }
     }
 
     /// Loads the preset from a file; `None` if the name can only be that of a built-in preset.
@@ -72,6 +89,23 @@ impl TrainingPreset {
 
     pub(super) fn error_at_line(&self, error: TrainingConfigError) -> CliError {
         CliError::input(error.with_location(&self.text, &self.path))
+    }
+}
+
+/// Replaces the recorded drives of a configuration by those of `--drives`.
+pub(super) fn replace_drives(
+    mut config: TrainingConfig,
+    folder: &str,
+) -> Result<TrainingConfig, CliError> {
+    let drives = load_drives(Path::new(folder), config.controllers)?;
+    config.evaluation.drives = Some(folder.to_owned());
+    config.evaluation.drives_sha256 = Some(drives.identity().to_owned());
+    match config.check() {
+        Ok(()) => Ok(config),
+        Err(TrainingConfigError::Field(invalid)) => {
+            Err(CliError::Input(format!("--drives: {}", invalid.problem)))
+        }
+        Err(error) => Err(CliError::input(error)),
     }
 }
 

@@ -19,13 +19,14 @@ use crumple_sim::observation::EstimatorKind;
 /// Run a controller open loop on recorded drives: where and how hard it would brake
 #[derive(Args)]
 #[command(after_long_help = "\
-Reads the same recordings as `crumple import`. The controller replaces each vehicle with a recorded leader. It \
-observes the recorded gaps, speeds and accelerations, and its commands change nothing. crumple lists each braking that \
-the controller would have begun, and the recorded driver's hardest braking during it and the next second. Braking is \
-unnecessary as in assessments (docs/glossary.md): more than 2 m/s² beyond the deceleration that the vehicle ahead \
-justifies. Rates have exact 95 % intervals of Poisson counts, which assume that unnecessary brakings are independent. \
-Braking that would have prevented a situation does not show, because the recorded driver determines the distance. A \
-controller that would keep another distance can brake unnecessarily here, but not in closed loop.
+Reads the same recordings as `crumple import`. The controller takes the place of each vehicle that has a recorded \
+leader. It observes the recorded gaps, speeds and accelerations, and its commands change nothing. crumple lists each \
+braking that the controller would have begun, and the recorded driver's hardest braking during it and the next \
+second. Braking is unnecessary as in assessments (docs/glossary.md): more than 2 m/s² beyond the deceleration that \
+the vehicle ahead justifies. Rates have exact 95 % intervals of Poisson counts, which assume that unnecessary \
+brakings are independent. The recorded driver determines the distance, so that replay shows neither braking that \
+would have prevented a situation, nor whether the controller also brakes unnecessarily at the distance that it would \
+keep.
 
 Examples:
   crumple replay platoon.csv --controller acc-aeb

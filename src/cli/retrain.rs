@@ -13,7 +13,7 @@ use progress_line::ProgressLine;
 
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
-use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
+use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset, replace_drives};
 use super::{CliError, args, output, progress, study};
 use crumple_controllers::Controllers;
 use crumple_core::observer::Listener;
@@ -35,7 +35,7 @@ Each round searches every --space for collisions of the policy, attacks every --
 collisions. It then trains the policy on these, mixed with random scenarios of the preset's spaces (if the preset has \
 none, of the paper's distribution and --space), and evaluates the best checkpoint. With `[imitation]` in the preset \
 (`road`), the policy imitates the expert in these scenarios. crumple accepts the checkpoint only if
-  - no safe scenario of the paper and its distribution fails
+  - no scenario of the paper, or of its distribution, has a new collision
   - collisions on the validation set do not increase, and they decrease there or in the collected scenarios
   - the policy is significantly worse in none of the --regression spaces: by collisions and, where `idm` drives \
 without fault, also by hard unnecessary braking and vehicles that fall behind (McNemar's exact one-sided test on the \
@@ -43,8 +43,8 @@ same random scenarios, p below 0.01)
   - with `usefulness_draws` in the preset, drives of `traffic` do not have more collisions, hard unnecessary braking \
 or vehicles that fall behind; rms jerk and rms acceleration are at most 1 % above the larger value of the initial \
 policy and of `idm`; and the mean time gap is at most 1 % further outside 1.2 to 2.1 s
-  - with `usefulness_draws`, drives of `everyday` do not have more faults where `idm` has none, nor more jerk, by the \
-same rule
+  - with `usefulness_draws`, the same holds in drives of `everyday` in which `idm` has no fault (collision, hard \
+unnecessary braking, falling behind), and for their rms jerk; with --drives, also in the recorded drives
   - with `usefulness_draws`, the last of five vehicles in a line changes its speed at most as much as the first, or as \
 before
 The retraining ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the \
@@ -59,7 +59,8 @@ Examples:
   crumple retrain --out runs/retrained
   crumple retrain --policy road
   crumple retrain --regression none
-  crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --test-draws 20000
+  crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 \\
+    --test-draws 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
     /// Initial policy: `policy`, `retrained`, `road`, or a policy file
@@ -71,7 +72,7 @@ pub(super) struct Retrain {
     space: Vec<String>,
     /// Scenario that each round also attacks, as it is and with the worst-case braking of a scripted leader: built-in,
     /// a file, or a folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
-    /// [default: paper-1 and paper-2 with an imitation, otherwise none]
+    /// [default: if the preset has `[imitation]`, paper-1 and paper-2, otherwise none]
     #[arg(long, value_name = "F")]
     scenario: Vec<PathBuf>,
     /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file of the same form
@@ -100,12 +101,13 @@ pub(super) struct Retrain {
     #[arg(long, alias = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     validation_draws: u64,
-    /// Random scenarios of the paper's distribution, and drives of traffic, in the validation set: 1 to 1 000 000
+    /// Random scenarios of the paper's distribution, and drives of `traffic` and of `everyday`, in the validation set:
+    /// 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     nominal: u64,
     /// Scenario space in which no round may make the policy worse, built-in or a file; may be repeated, `none` for none
-    /// [default: all built-in spaces, and `followers`]
+    /// [default: all built-in spaces except high-risk-human and traffic-human]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
     /// Random scenarios of each of these spaces: 1 to 10 000
@@ -116,6 +118,10 @@ pub(super) struct Retrain {
     #[arg(long, alias = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=10_000_000))]
     test_draws: u64,
+    /// Folder of recorded drives (see `crumple import --whole`), in which no round may make the policy less useful; the
+    /// preset needs `usefulness_draws`
+    #[arg(long, value_name = "DIR")]
+    drives: Option<String>,
     /// Seed of searches and trainings
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: u64,
@@ -178,7 +184,7 @@ impl Retrain {
         global: GlobalOptions,
     ) -> Result<RetrainingPlan, CliError> {
         let controllers = global.controllers;
-        let training = load_training_config(preset, controllers)?;
+        let training = load_training_config(preset, self.drives.as_deref(), controllers)?;
         let settings = self.settings(&training, preset)?;
         let spaces = self.searched_spaces(&training, controllers)?;
         let regression_spaces = load_regression_spaces(&self.regression, controllers)?;
@@ -287,9 +293,19 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     )))
 }
 
-fn load_training_config(name: &Path, controllers: Controllers) -> Result<TrainingConfig, CliError> {
+fn load_training_config(
+    name: &Path,
+    drives: Option<&str>,
+    controllers: Controllers,
+) -> Result<TrainingConfig, CliError> {
     if RETRAIN_PRESET_NAMES.map(Path::new).contains(&name) {
-        return training_preset().map_err(CliError::input);
+        let mut config = training_preset().map_err(CliError::input)?;
+        config.controllers = controllers;
+        return match drives {
+            Some(folder) => replace_drives(config, folder),
+            None => Ok(config),
+        };
     }
-    TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config(controllers)
+    let preset = TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?;
+    preset.into_checked_config(controllers, drives)
 }

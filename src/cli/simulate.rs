@@ -38,8 +38,12 @@ A formula of --spec is evaluated as by `crumple falsify`: on a simulation that c
 Braking is unnecessary if it is, for 0.2 s and above 3 m/s, more than 2 m/s² harder than the largest of these \
 decelerations within the last 0.5 s: that of the Intelligent Driver Model at the true state, that which avoids the \
 leader, and, within a time gap of 3 s, that of the leader. A vehicle falls behind if its leader still drives at the \
-end, and the vehicle has less than half the leader's speed, or a gap above both the initial gap and 20 m plus 6 s \
-times the leader's speed (docs/glossary.md).
+end, and if the vehicle then has less than half the leader's speed, or a gap that is larger than the initial gap and \
+larger than 20 m plus 6 s times the leader's speed (docs/glossary.md).
+
+crumple simulates a scenario with unnecessary braking again, without the vehicles behind those under test. If it then \
+has neither a collision nor unnecessary braking, the braking blames no controller, and --expect useful accepts it. In \
+scenarios with lane changes all unnecessary braking counts.
 
 A scenario file may have 8 MiB of JSON or 3 MiB of TOML, 1000 vehicles, and 5 million vehicle-steps, whose trace takes \
 120 MB. A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); a \
@@ -96,7 +100,8 @@ pub(super) struct Simulate {
     #[arg(long, requires = "spec")]
     parts: bool,
     /// Also compute the level of each vehicle under test over time: the hardest braking of the leader for which a plan
-    /// avoids a collision on both sides. The value has the settings of the follower's class, as after `shield2`
+    /// avoids a collision on both sides. SETTINGS describe the assumed follower, as those of `shield2` do
+    /// (docs/controllers.md)
     #[arg(long, value_name = "SETTINGS", num_args = 0..=1, require_equals = true, default_missing_value = "")]
     #[arg(value_parser = TwoSidedSettings::parse_for_levels)]
     level: Option<TwoSidedSettings>,
@@ -115,7 +120,8 @@ pub(super) struct Simulate {
 enum RunExpectation {
     /// No collision, and no controller fails
     Safe,
-    /// Like `safe`; besides, no vehicle under test (there is at least one) brakes unnecessarily or falls behind
+    /// Like `safe`; besides, no vehicle under test (there is at least one) falls behind or brakes unnecessarily, except
+    /// because of a vehicle behind
     Useful,
     /// A collision
     Collision,
@@ -161,18 +167,6 @@ impl RenderedRun {
     }
 }
 
-/// Returns the scenario up to the last vehicle under test, with at least two vehicles.
-fn without_vehicles_behind(scenario: &Scenario) -> Result<Scenario, CliError> {
-    let vehicles = scenario.vehicles().len();
-    let last = (0..vehicles).rfind(|&index| scenario.is_under_test(index));
-    scenario
-        .edited(|spec| {
-            spec.vehicles
-                .truncate(last.map_or(vehicles, |last| (last + 1).max(2)))
-        })
-        .map_err(CliError::input)
-}
-
 fn parse_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
@@ -210,7 +204,7 @@ impl Simulate {
         }
         files.commit()?;
         let mut text: String = results.iter().map(|result| result.text.as_str()).collect();
-        text += &self.total(&scenarios, &results, has_folder)?;
+        text += &self.total(&results, has_folder)?;
         let printed = output::print_coloured(self.format, &text);
         CliError::verdict_first(self.check_expectation(&runs, &results), printed)
     }
@@ -248,20 +242,12 @@ impl Simulate {
     }
 
     /// Returns the total of several runs, or of a folder; empty for one run.
-    fn total(
-        &self,
-        scenarios: &[Scenario],
-        results: &[RenderedRun],
-        has_folder: bool,
-    ) -> Result<String, CliError> {
+    fn total(&self, results: &[RenderedRun], has_folder: bool) -> Result<String, CliError> {
         if !has_folder && results.len() < 2 {
             return Ok(String::new());
         }
         let findings: Vec<_> = results.iter().map(|result| result.findings).collect();
         let mut total = RunTotal::new(&findings, !self.spec.is_empty());
-        if let Some(alone) = self.count_braking_alone(scenarios, &findings)? {
-            total = total.with_braking_alone(alone);
-        }
         if let Some(plant) = self.plant {
             total = total.with_plant(plant, results.iter().map(|result| result.collided));
         }
@@ -271,32 +257,6 @@ impl Simulate {
                 Ok(serde_json::to_string(&TotalReport { total }).map_err(CliError::input)? + "\n")
             }
         }
-    }
-
-    /// Simulates the scenarios with unnecessary braking again without the vehicles behind those under test, and returns
-    /// in how many it still happens; `None` if none of them has such a vehicle.
-    fn count_braking_alone(
-        &self,
-        scenarios: &[Scenario],
-        findings: &[RunFindings],
-    ) -> Result<Option<usize>, CliError> {
-        let braking = scenarios.iter().zip(findings);
-        let braking = braking.filter(|(_, findings)| findings.brakes_unnecessarily);
-        let (alone, followed): (Vec<_>, Vec<_>) =
-            braking.partition(|(_, findings)| findings.ends_under_test);
-        if followed.is_empty() {
-            return Ok(None);
-        }
-        let shortened = followed
-            .iter()
-            .map(|(scenario, _)| without_vehicles_behind(scenario))
-            .collect::<Result<Vec<_>, _>>()?;
-        let runs = self.runs(&shortened)?;
-        let still = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
-            RunReport::new(&runs[index], &self.controller, &simulated).brakes_unnecessarily()
-        });
-        let still = still.into_iter().filter(|still| *still).count();
-        Ok(Some(alone.len() + still))
     }
 
     /// Renders all output of one run, so that its trace can be dropped.
@@ -443,7 +403,9 @@ impl Simulate {
         .map_err(|error| CliError::Input(format!("--spec: {error}")))?;
         let report = RunReport::new(run, &self.controller, result)
             .with_plant(self.plant)
-            .with_specifications(specifications);
+            .with_specifications(specifications)
+            .with_cause_of_braking(run)
+            .map_err(CliError::input)?;
         Ok(match &self.level {
             Some(settings) => report.with_levels(run, result, settings, describe_followers),
             None => report,
@@ -544,7 +506,7 @@ fn note_unused_controller(scenarios: &[Scenario], quiet: bool) {
     {
         let name = &scenario.spec().name;
         output::note(
-            &format!("note: {name} has no vehicle under test, so --controller has no effect"),
+            &format!("note: {name} has no vehicle under test, so no controller is tested"),
             quiet,
         );
     }

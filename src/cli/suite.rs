@@ -153,8 +153,8 @@ fn default_controllers() -> Result<Vec<NamedController>, CliError> {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum SuiteExpectation {
-    /// No collision and no failed controller wherever a test can be run, and none found within the ranges that a clause
-    /// allows
+    /// Every test that can be run is passed, also at the points that a search finds within the ranges of a clause, and
+    /// every controller answers
     Passed,
 }
 

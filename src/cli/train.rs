@@ -31,7 +31,7 @@ Presets:
   fast       solves the paper's task within about a minute per seed (default)
   paper-net  the paper's networks and reward with corrections: reaches the paper's reward, but does not keep it
   paper      the paper's exact settings: takes many hours, and does not reach the paper's reward
-  road       imitates the controller `predictive` in all built-in spaces
+  road       imitates the controller `predictive`
 
 The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, \
 `twin_critic = true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and \
@@ -55,6 +55,7 @@ Examples:
   crumple train --seed 7
   crumple train --seeds 30 --out runs/fast
   crumple train --preset road --space traffic=0.5 --space high-risk=0.3 --space wet.toml=0.2
+  crumple train --preset road --drives drives
   crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
 pub(super) struct Train {
     /// Training preset: fast, paper-net, paper or road, or a TOML file of the same form
@@ -64,14 +65,18 @@ pub(super) struct Train {
     /// be repeated, each space once; replaces the preset's spaces, with a `cost_multiplier` of 1
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
     space: Vec<TrainingSpace>,
+    /// Folder of recorded drives (see `crumple import --whole`), in which a policy must also be useful; the preset
+    /// needs `usefulness_draws`
+    #[arg(long, value_name = "DIR")]
+    drives: Option<String>,
     /// Train this seed [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = args::whole_number::<u64>(1..=100_000))]
     seeds: Option<u64>,
-    /// Folder for policies, logs and checkpoints, created if missing; `training.sha256` lists the files that each
-    /// command with this folder rewrites
+    /// Folder for policies, logs and checkpoints, created if missing. `training.sha256` lists them; later commands with
+    /// this folder replace only listed files
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
     out: PathBuf,
     /// Resume from the checkpoints in the folder
@@ -215,9 +220,9 @@ impl Train {
         if !self.space.is_empty() {
             config.spaces.clone_from(&self.space);
         }
-        // Check the scenario spaces before a folder is created.
+        // Check spaces and drives before a folder is created.
         match config.scenario_source() {
-            Ok(_) => Ok(config),
+            Ok(_) => preset.with_drives(config, self.drives.as_deref()),
             Err(error) if self.space.is_empty() => Err(preset.error_at_line(error)),
             Err(error) => Err(self.option_error(&error)),
         }

@@ -1,9 +1,11 @@
 //! `crumple tune`: fits the settings of a built-in controller on the closed loop.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 
+use super::drives::load_drives;
 use super::global_options::GlobalOptions;
 use super::output_format::OutputFormat;
 use super::{CliError, args, output, progress, study, value_enums};
@@ -25,10 +27,13 @@ this is the sum of:
   - the weighted mean of the collision shares in the spaces
   - the shares of drives in `traffic` with a collision, with hard unnecessary braking (above 4 m/s2 where less than 3 \
 m/s2 was justified), and in which the vehicle falls behind
-  - the share of drives in `everyday` with one of these faults or any unnecessary braking, where `idm` has none
-  - 0.5 times the sum of four excesses: in `traffic`, those of rms acceleration and rms jerk above 1.2 times the \
-values of `idm` (relative), and that of the mean time gap outside 1.2 to 2.1 s (in seconds); in `everyday`, that of \
-rms jerk
+  - the share of drives in `everyday` with one of these faults or any unnecessary braking, counting only drives in \
+which `idm` has neither
+  - with --drives, the same share of the recorded drives, where a collision with a vehicle that repeats recorded \
+speeds behind is no fault
+  - 0.5 times the sum of these excesses: in `traffic`, those of rms acceleration and rms jerk above 1.2 times the \
+values of `idm` (relative), and that of the mean time gap outside 1.2 to 2.1 s (in seconds); in `everyday` and in \
+recorded drives, that of rms jerk
 For --objective safety, it is the first term.
 
 The five best candidates and the initial settings are then simulated in other random scenarios (the selection set), \
@@ -43,7 +48,8 @@ Examples:
   crumple tune --controller predictive --space high-risk --space standing=0.5
   crumple tune --controller acc-aeb --setting ttc_s --setting time_headway_s=0.8..2.5
   crumple tune --controller acc-aeb,standstill_gap_m=3 --method cross-entropy --evaluations 1200
-  crumple tune --controller idm --objective safety --out runs/idm --resume")]
+  crumple tune --controller idm --objective safety --out runs/idm --resume
+  crumple tune --controller predictive --drives drives")]
 pub(super) struct Tune {
     /// Built-in controller with settings (see `crumple list controllers`); settings given as in `acc-aeb,ttc_s=2.0`
     /// stay fixed
@@ -79,6 +85,10 @@ pub(super) struct Tune {
     /// Seed of the search and of all scenarios
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: u64,
+    /// Folder of recorded drives (see `crumple import --whole`), in which every candidate must also be useful; with
+    /// `--objective safety`, only the report has them
+    #[arg(long, value_name = "DIR")]
+    drives: Option<PathBuf>,
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
@@ -176,9 +186,12 @@ impl Tune {
                 weight: *weight,
             });
         }
+        let drives = self.drives.as_deref();
+        let drives = drives.map(|folder| load_drives(folder, controllers));
         Ok(TuningPlan {
             search: SettingSearch::parse(&self.controller, &self.setting).map_err(with_option)?,
             spaces,
+            drives: drives.transpose()?.map(Arc::new),
             config: TuningConfig {
                 objective: self.objective,
                 method: match self.method {

@@ -130,7 +130,8 @@ struct RateCommand {
     /// With --rare: specification, as in `crumple falsify` [default: no collision]
     #[arg(long, value_name = "STL", requires = "rare")]
     spec: Option<String>,
-    /// With --rare: runs of a population, 50 to 100 000, for each repetition and each of up to 18 levels [default: 500]
+    /// With --rare: size of a population, 50 to 100 000. Each repetition has up to 18 levels, with four runs per sample
+    /// [default: 500]
     #[arg(long, value_name = "N", requires = "rare", value_parser = args::whole_number::<u32>(50..=100_000))]
     samples: Option<u32>,
     /// With --rare: independent populations, 5 to 1000 [default: 20]
@@ -140,7 +141,7 @@ struct RateCommand {
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
     /// In a scenario space fitted to episodes: resamples of the episodes, with a new fit for each: 0 (none) or 79 to
-    /// 2000 [default: 200, with --rare 80, each with an estimate of about 20 000 runs]
+    /// 2000 [default: 200, with --rare 80, each with an estimate of 100 samples and 5 repetitions, about 20 000 runs]
     #[arg(long, value_name = "N", value_parser = exposure::parse_resamples)]
     resamples: Option<u32>,
     /// Runs in each resample, without --rare: 50 to 100 000 [default: 500]
@@ -219,19 +220,13 @@ impl RateCommand {
             return self.estimate(space, quiet);
         };
         self.check_options_of_count()?;
-        let out = self.out;
-        let plan = RatePlan::new(RateConfig {
-            second_controller: self.against,
-            seed: self.seed,
-            estimator: self.estimator,
-            confidence: self.confidence,
-            ..RateConfig::new(self.controller, space, runs)
-        })?
-        .with_resampling(
-            self.resamples.unwrap_or(DEFAULT_RESAMPLES),
-            self.resample_runs.unwrap_or(DEFAULT_RUNS_PER_RESAMPLE),
-        );
-        let study = study::open(&plan, &out, self.resume, quiet)?;
+        self.count(space, runs, quiet)
+    }
+
+    /// Counts failures, and writes a certificate.
+    fn count(&self, space: ScenarioSpace, runs: u64, quiet: bool) -> Result<(), CliError> {
+        let plan = self.rate_plan(space, runs)?;
+        let study = study::open(&plan, &self.out, self.resume, quiet)?;
         let path = study.path(CERTIFICATE_FILE);
         output::note(
             &format!("registered as {}", plan.registration().digest()),
@@ -243,7 +238,7 @@ impl RateCommand {
         }));
         bar.finish_and_clear();
         let counted = counted?;
-        let report = CountReport::new(&plan, &counted, out, path);
+        let report = CountReport::new(&plan, &counted, self.out.clone(), path);
         // Print the counts even if the claim was rejected.
         if let Err(rejection) = &counted.certificate {
             let rejected = CliError::Unmet(report.describe_rejection(rejection));
@@ -256,6 +251,20 @@ impl RateCommand {
         });
         let report = report.with_exposure(exposed.map_err(CliError::input)?);
         output::print_result(self.format, &report, || report.to_text())
+    }
+
+    fn rate_plan(&self, space: ScenarioSpace, runs: u64) -> Result<RatePlan, CliError> {
+        let plan = RatePlan::new(RateConfig {
+            second_controller: self.against.clone(),
+            seed: self.seed,
+            estimator: self.estimator,
+            confidence: self.confidence,
+            ..RateConfig::new(self.controller.clone(), space, runs)
+        })?;
+        Ok(plan.with_resampling(
+            self.resamples.unwrap_or(DEFAULT_RESAMPLES),
+            self.resample_runs.unwrap_or(DEFAULT_RUNS_PER_RESAMPLE),
+        ))
     }
 
     /// Returns the number of runs to count, or `None` if the rate is to be estimated by splitting.

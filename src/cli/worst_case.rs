@@ -32,11 +32,11 @@ milder ones. The output states if the budget was exceeded.
 
 --attack sensors searches for the mildest sensor fault instead. For each kind of fault, crumple simulates sizes in \
 order, from 0.01 m or s (latency 0.002 s, range 199.9 m) to a limit. It stops when one size has caused a collision, \
-and one unnecessary braking (as for `crumple simulate --expect useful`). It then simulates nine sizes between each of \
-these two and the size before. A ghost appears at 8 times, 3 gaps and 2 speeds. A printed size causes the failure when \
-it is simulated; a smaller one between the simulated sizes may exist. The mildest fault has the smallest share of its \
-limit. There are at most 18 581 simulations. --out writes the scenario with the mildest fault that causes a collision, \
-or else unnecessary braking.
+and one unnecessary braking (as for `crumple simulate`, whatever causes it). It then simulates nine sizes between each \
+of these two and the size before. A ghost appears at 8 times, 3 gaps and 2 speeds. A printed size causes the failure \
+when it is simulated; a smaller one between the simulated sizes may exist. The mildest fault has the smallest share of \
+its limit. There are at most 18 581 simulations. --out writes the scenario with the mildest fault that causes a \
+collision, or else unnecessary braking.
 
 A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicle \
 steps, and all simulations together 20 000 million, which takes some minutes.

@@ -11,7 +11,8 @@ use crumple_core::observer::Quiet;
 use crumple_evidence::{RateConfig, RatePlan};
 use crumple_report::assessment::{
     AssessConfig, AssessmentGate, AssessmentPlan, AssessmentReport, CertificateStatus,
-    CertificateSubject, ClaimStatus, EvidenceCache, GateConfig, Strength, assess,
+    CertificateSubject, ClaimStatus, EarlierAssessment, EvidenceCache, GateConfig, Strength,
+    StrengthLevel, assess,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::observation::EstimatorKind;
@@ -1118,6 +1119,107 @@ fn misleading_configurations_are_refused_at_the_start() {
             .expect_err("refused")
             .to_string();
         assert!(refused.contains(message), "{rest}: {refused}");
+    }
+}
+
+/// An equal controller is not worse after more runs, and the report contains the assessment that it was compared with.
+#[test]
+fn an_equal_controller_with_more_runs_is_not_worse() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("old.json");
+    let asked = |factor: u64| {
+        let mut asked = config(&["baseline", "idm"]);
+        asked.subject = Some("idm".to_owned());
+        let spaces = Some(vec!["high-risk".to_owned()]);
+        (asked.distributions, asked.search.spaces) = (spaces.clone(), spaces);
+        (asked.draws, asked.rates.runs) = (20 * factor, 100 * factor);
+        asked.search.budget = 10 * factor;
+        asked.gates = vec![AssessmentGate::NothingWorse {}.into()];
+        AssessmentPlan::new(asked, [], Path::new("")).expect("valid")
+    };
+    let [few, many] = [asked(1), asked(4)];
+    for (before, now) in [(&few, &many), (&many, &few)] {
+        let run = |plan, against: Option<&EarlierAssessment>| {
+            assess(plan, &EvidenceCache::disabled(), against, &Quiet).expect("runs")
+        };
+        let json = run(before, None).to_json().expect("serializes");
+        fs::write(&path, &json).expect("writes");
+        let earlier = EarlierAssessment::load(&path).expect("evidence");
+        let later = run(now, Some(&earlier));
+        assert!(later.summary.gates[0].holds, "{:?}", later.comparison);
+        let files = later.files().expect("encoded");
+        let copy = files.iter().find(|(name, _)| name == "earlier.json");
+        assert_eq!(copy.expect("copied").1, json.as_bytes());
+        assert!(later.to_markdown().contains("--against earlier.json"));
+    }
+}
+
+/// A comparison that counted runs decide against the subject is refuted in every form of the report. Below the minimum
+/// confidence level, the same counts decide nothing, in favour of either controller.
+#[test]
+fn counts_against_the_subject_refute_its_comparison() {
+    let compared = |controllers: [&str; 2], confidence: f64| {
+        let mut asked = config(&controllers);
+        asked.subject = Some(controllers[1].to_owned());
+        (asked.rates.runs, asked.rates.confidence) = (200, confidence);
+        run(asked, Path::new(""))
+    };
+    let row = |assessment: &AssessmentReport| {
+        let rows = assessment.summary.claims.iter();
+        let mut rows = rows.filter(|row| row.claim.contains("fewer failures"));
+        rows.find(|row| row.part == "proofs")
+            .expect("claimed")
+            .clone()
+    };
+    let worse = compared(["idm", "baseline"], 0.999);
+    let refuted = row(&worse);
+    let status = &refuted.statuses[1];
+    assert!(
+        matches!(
+            status.strength,
+            Strength::CountedAgainst {
+                only_own: 200,
+                only_other: 0,
+                ..
+            }
+        ) && status.strength.level() == StrengthLevel::Refuted,
+        "{status:?}"
+    );
+    let files = worse.files().expect("encoded");
+    let text = |name: &str| {
+        let mut files = files.iter();
+        let file = files.find(|file| file.0 == name).expect("written");
+        let text = String::from_utf8(file.1.clone()).expect("UTF-8");
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let facts = "of 200 counted runs, only it fails in 200, only the other in 0, confidence 99.9 %";
+    for (form, begin) in [
+        ("assessment.junit.xml", "<failure message=\"refuted: "),
+        ("assessment.gsn.yaml", "\"Refuted: "),
+        (
+            "assessment.md",
+            "no fewer failures than idm in the distribution of `paper`",
+        ),
+    ] {
+        let text = text(form);
+        let stated = text.split(begin).skip(1).any(|rest| {
+            rest.split(['"', '\n'])
+                .next()
+                .unwrap_or_default()
+                .contains(facts)
+        });
+        assert!(stated, "{form}: {text}");
+    }
+    assert!(
+        text("assessment.md").contains("Counted runs show that it fails more often than `idm`")
+    );
+    for controllers in [["idm", "baseline"], ["baseline", "idm"]] {
+        let status = row(&compared(controllers, 0.9)).statuses[1].clone();
+        assert_eq!(
+            status.strength.level(),
+            StrengthLevel::NotShown,
+            "{status:?}"
+        );
     }
 }
 

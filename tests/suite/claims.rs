@@ -84,12 +84,24 @@ fn strength() -> impl Strategy<Value = Strength> {
             confidence_percent,
             runs
         }),
+        (1..3_u64).prop_map(move |runs| Strength::CountedAgainst {
+            only_own: runs,
+            only_other: 0,
+            unanswered: 0,
+            confidence_percent,
+            runs
+        }),
         (0..3_u64, 0..3_u64).prop_map(|(own, other)| Strength::Compared {
             own,
             other,
-            runs: 9
+            runs: 9,
+            unanswered: 0
         }),
         (1..9_u64).prop_map(|failures| Strength::Refuted { failures, runs: 9 }),
+        (1..9_u64).prop_map(|failures| Strength::FailedPoints {
+            failures,
+            points: 9
+        }),
         Just(Strength::Falsified {
             failures: 2,
             avoidable: 1,
@@ -134,7 +146,8 @@ fn evidence() -> impl Strategy<Value = Evidence> {
 /// Levels of a claim: refuted, no evidence, tested, holds often, always.
 fn strength_level(text: &Value) -> u8 {
     match text["basis"].as_str().expect("a basis") {
-        "refuted" | "falsified" | "exceeded" | "contradicted" => 0,
+        "refuted" | "falsified" | "exceeded" | "counted_against" | "failed_points"
+        | "contradicted" => 0,
         "unanswered" if text["refutes"] == true || text["failures"].as_u64() > Some(0) => 0,
         "compared" if text["own"].as_u64() > text["other"].as_u64() => 0,
         "compared" if text["own"].as_u64() < text["other"].as_u64() => 2,

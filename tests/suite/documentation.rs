@@ -143,7 +143,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "README.md",
-            "of `high-risk`, in %; followers drive `baseline`",
+            "of `high-risk`, in %; `baseline` drives the followers",
         ),
         (
             "README.md",
@@ -155,11 +155,15 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "docs/limits.md",
-            "In `paper` and `high-risk` the follower drives `baseline`",
+            "In `paper` and `high-risk`, `baseline` drives the follower",
         ),
         (
             "docs/commands.md",
             "In `paper` and `high-risk`, followers drive `baseline`",
+        ),
+        (
+            "docs/commands.md",
+            "`followers` and `everyday` have [six kinds of follower, or none]",
         ),
         (
             "reports/driver.md",
@@ -171,7 +175,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "reports/retraining.md",
-            "In `high-risk` the follower drives `baseline`",
+            "In `high-risk`, `baseline` drives the follower",
         ),
         (
             "reports/plants-and-sensors.md",

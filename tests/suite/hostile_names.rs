@@ -4,7 +4,7 @@ use crumple_sim::scenario::NoDriverFiles;
 use std::fs;
 use std::path::Path;
 
-use crumple_core::quoting::is_hidden;
+use crumple_core::quoting::{TerminalText, is_hidden};
 use crumple_sim::policy::Policy;
 use crumple_sim::scenario::{built_in_scenario, file};
 use crumple_spaces::{built_in_space, file as space_file};
@@ -17,6 +17,9 @@ use crate::command_line::{command, exit_code, temp_folder};
 /// For fields that exclude control characters.
 const NAME: &str = "a|b <img src=x onerror=alert(1)> `touch PWNED` [x](http://x.y) *z* \
     \u{202e}$(touch PWNED);'\"\\ &amp; \u{2066}";
+/// For the name of a space: code in the middle of a name.
+const SPACE: &str =
+    "a `space` | <b> <img src=x onerror=alert(1)> [x](http://x.y) *z* \u{202e}$(touch PWNED)";
 /// For file names.
 const FILE: &str = "x\u{1b}]0;PWNED\u{7}\u{9b}2J\n# no contact\n| a | b |\n\u{202e};touch PWNED;# \
     <script>alert(1)<\\script> `'\"";
@@ -75,10 +78,7 @@ fn hostile_folder() -> tempfile::TempDir {
         .expect("built in")
         .spec()
         .clone();
-    (space.name, space.about) = (
-        NAME.chars().take(100).collect(),
-        format!("# {NAME}\n<!-- {FILE}"),
-    );
+    (space.name, space.about) = (SPACE.to_owned(), format!("# {NAME}\n<!-- {FILE}"));
     write(
         &format!("{FILE}.toml"),
         toml::to_string(&space).expect("TOML").as_bytes(),
@@ -93,7 +93,24 @@ fn hostile_folder() -> tempfile::TempDir {
         file::to_toml(&scenario).expect("TOML").as_bytes(),
     );
     write(&format!("{FILE}.csv"), b"nonsense\n");
+    let (_, kernel) = crumple_evidence::shipped_kernels().remove(0);
+    let kernel = serde_json::to_vec(&kernel).expect("JSON");
+    write(&format!("{FILE}.json"), &kernel);
     folder
+}
+
+/// A code span with a part of a name would end in the middle of the name.
+fn assert_whole_names_in_code(text: &str) {
+    let code = Parser::new_ext(text, Options::ENABLE_TABLES).filter_map(|event| match event {
+        Event::Code(code) => Some(code.into_string()),
+        _ => None,
+    });
+    let code: Vec<String> = code.collect();
+    let shown = TerminalText(&SPACE.replace('`', "'")).to_string();
+    assert!(code.contains(&shown), "{shown} is in no code span");
+    for part in ["a", "a ", "space"] {
+        assert!(!code.contains(&part.to_owned()), "`{part}` of a name");
+    }
 }
 
 #[test]
@@ -107,7 +124,12 @@ fn reports_show_hostile_names_as_text() {
         asked.everyday_draws,
         asked.scenarios,
         asked.certificates,
-    ) = (20, 4, vec!["scenarios".into()], None);
+    ) = (
+        20,
+        4,
+        vec!["scenarios".into()],
+        Some(vec![format!("{FILE}.json").into()]),
+    );
     let assessment = run(asked, folder.path());
     let files = assessment.files().expect("renders");
     let text = |wanted: &str| {
@@ -119,7 +141,12 @@ fn reports_show_hostile_names_as_text() {
         assert_no_hidden_characters(name, &text);
         text
     };
-    assert_harmless_markdown(&text("assessment.md"));
+    let markdown = text("assessment.md");
+    assert_harmless_markdown(&markdown);
+    assert_whole_names_in_code(&markdown);
+    // In prose, backticks begin and end code.
+    let mut controllers = assessment.summary.controllers.iter();
+    assert!(controllers.all(|name| !name.contains('`')));
     for name in ["assessment.html", "assessment.junit.xml"] {
         let text = text(name);
         for raw in ["<img src=x", "<script>alert", "<!-- x"] {

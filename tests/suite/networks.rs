@@ -932,7 +932,7 @@ fn damaged_files_are_refused_and_nothing_worse() {
             } else {
                 NetworkFile::from_sb3(bytes)
             };
-            assert!(begun.elapsed() < Duration::from_secs(1), "{file}");
+            assert!(begun.elapsed() < Duration::from_secs(20), "{file}");
             if let Err(error) = &read {
                 let message = error.to_string();
                 assert!(

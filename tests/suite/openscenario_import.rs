@@ -13,10 +13,11 @@ use tempfile::TempDir;
 
 use crate::generate::{any_scenario, simulate_traced, with_cases, without_noise};
 
-/// Tolerance: 1 cm; of speeds 1 cm/s. Trajectories determine only mean speeds between vertices: 2 cm/s in the built-in
-/// scenarios, and 10 cm/s in random ones, whose controllers may change the acceleration in each step.
+/// Tolerance: 1 cm; of speeds 1 cm/s. Trajectories determine only mean speeds between vertices: 3 cm/s in the built-in
+/// scenarios, whose round positions are read as if rounded to 1 mm, and 10 cm/s in random ones, whose controllers may
+/// change the acceleration in each step.
 const TOLERANCE: f64 = 0.01;
-const BUILT_IN_TRAJECTORY_MPS: f64 = 0.02;
+const BUILT_IN_TRAJECTORY_MPS: f64 = 0.03;
 const RANDOM_TRAJECTORY_MPS: f64 = 0.1;
 
 fn import(exported: &OpenScenario) -> Result<Scenario, String> {

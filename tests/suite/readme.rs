@@ -63,10 +63,7 @@ const SOURCES: [(&str, Source); 9] = [
             )
         }),
     ),
-    (
-        "splitting on six problems",
-        Source::Slow(known_probabilities),
-    ),
+    ("multilevel splitting", Source::Slow(known_probabilities)),
     ("one vehicle-step", Source::Machine),
     ("first collision", Source::Printed(&["COLLISION at "])),
     (

@@ -156,7 +156,7 @@ fn predictive_and_road_are_safe_in_the_papers_task() {
 }
 
 /// Both collide half as often as `idm` before six kinds of follower and none, and with humans behind no more often.
-/// Both are as comfortable in traffic as `idm-damped`, which like them amplifies no oscillation.
+/// Both are as comfortable in traffic as `idm-damped`, which amplifies no oscillation of 0.3 m/s.
 #[test]
 fn predictive_and_road_are_safe_and_useful() {
     let kalman = EstimatorKind::Kalman;

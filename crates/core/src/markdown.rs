@@ -34,8 +34,8 @@ impl Inline {
     /// Appends text, with code between backticks.
     #[must_use]
     pub fn and_prose(mut self, text: &str) -> Self {
-        for (index, piece) in text.split('`').enumerate() {
-            match index % 2 == 1 && !piece.is_empty() {
+        for (is_code, piece) in split_prose(text) {
+            match is_code && !piece.is_empty() {
                 true => self = self.and_code(piece),
                 false => self.push_escaped(piece),
             }
@@ -89,6 +89,20 @@ impl Inline {
     }
 }
 
+/// Splits prose into pieces, each with true for code, which is between backticks. The last of an odd number of
+/// backticks is text.
+pub fn split_prose(text: &str) -> impl Iterator<Item = (bool, &str)> {
+    let paired = text.matches('`').count() / 2 * 2;
+    let pieces = text.splitn(paired + 1, '`').enumerate();
+    pieces.map(|(index, piece)| (index % 2 == 1, piece))
+}
+
+/// Returns a name for prose: without backticks, which would begin and end code there.
+#[must_use]
+pub fn prose_name(name: &str) -> String {
+    name.replace('`', "'")
+}
+
 impl From<&str> for Inline {
     fn from(text: &str) -> Self {
         Self::prose(text)
@@ -128,26 +142,26 @@ impl Markdown {
     }
 
     /// Writes a table. `columns` has the Markdown alignment of each column.
-    pub fn table(
+    pub fn table<I: Into<Inline>>(
         &mut self,
         header: &[String],
         columns: &[&str],
-        rows: impl Iterator<Item = Vec<String>>,
+        rows: impl Iterator<Item = Vec<I>>,
     ) {
-        let rows: String = rows.map(|row| table_line(&row)).collect();
+        let rows: String = rows.map(table_line).collect();
         self.push_block(&format!(
             "{}| {} |\n{rows}",
-            table_line(header),
+            table_line(header.to_vec()),
             columns.join(" | ")
         ));
     }
 
     /// Writes a table without alignment of its columns.
     pub fn plain_table(&mut self, header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
-        let rows: String = rows.map(|row| table_line(&row)).collect();
+        let rows: String = rows.map(table_line).collect();
         self.push_block(&format!(
             "{}|{}\n{rows}",
-            table_line(header),
+            table_line(header.to_vec()),
             "---|".repeat(header.len())
         ));
     }
@@ -173,11 +187,9 @@ impl Markdown {
     }
 }
 
-fn table_line(cells: &[impl AsRef<str>]) -> String {
-    let cells: Vec<_> = cells
-        .iter()
-        .map(|cell| Inline::prose(cell.as_ref()).to_table_cell())
-        .collect();
+fn table_line<I: Into<Inline>>(cells: Vec<I>) -> String {
+    let cells = cells.into_iter().map(Into::into);
+    let cells: Vec<_> = cells.map(|cell: Inline| cell.to_table_cell()).collect();
     format!("| {} |\n", cells.join(" | "))
 }
 
@@ -297,5 +309,13 @@ mod tests {
         let mut text = Markdown::default();
         text.paragraph(words);
         assert_eq!(text.into_string(), "as in `` a`|b ``: `c`\n");
+    }
+
+    #[test]
+    fn a_single_backtick_is_text() {
+        let Inline { text } = Inline::prose("`a` and b` and c");
+        assert_eq!(text, "`a` and b\\` and c");
+        let Inline { text } = Inline::prose(&format!("`{}` c", prose_name("a`b")));
+        assert_eq!(text, "`a'b` c");
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::drives::{DriveEnd, DriveRun, DriveRuns, DriveSet, MeasuredDrive};
+use super::drives::{DriveEnd, DriveRun, DriveSet, MeasuredDrive};
 use super::exposure::{CONFIDENCE, IntervalEstimate};
 use super::replay_report::plural;
 use crumple_core::digits::format_or_hyphen;
@@ -63,9 +63,9 @@ pub struct DriveComfort {
     pub hours: f64,
     /// Kilometres in these hours.
     pub kilometres: f64,
-    /// Unnecessary braking.
+    /// Unnecessary braking, without that which only a vehicle behind causes.
     pub unnecessary_braking: EventRate,
-    /// Number of drives with unnecessary braking.
+    /// Number of drives with such braking.
     pub unnecessary_braking_drives: u64,
     /// Number of drives with braking above 4 m/s².
     pub hard_braking_drives: u64,
@@ -78,28 +78,31 @@ pub struct DriveComfort {
 }
 
 impl DriveComfort {
-    /// Summarises the drives of a controller or of the recorded drivers.
-    #[must_use]
-    pub fn new<'a>(drives: impl Iterator<Item = &'a MeasuredDrive> + Clone) -> Self {
-        let hours = drives.clone().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
-        let kilometres = drives.clone().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
-        let unnecessary = drives
-            .clone()
-            .map(|drive| drive.measures.unnecessary.count as u64)
-            .sum();
-        let brakes_unnecessarily = |drive: &&MeasuredDrive| !drive.measures.unnecessary.is_empty();
+    /// Summarises drives, with the number of unnecessary brakings that count in each.
+    fn new<'a>(drives: impl Iterator<Item = (&'a MeasuredDrive, usize)> + Clone) -> Self {
+        let brakings = drives.clone().map(|(_, count)| count as u64);
+        let drives = drives.map(|(drive, _)| drive);
+        let [hours, kilometres] = exposure(drives.clone());
         let is_hard = |drive: &&MeasuredDrive| drive.peak_brake_mps2 > HARD_BRAKE_MPS2;
         Self {
             drives: drives.clone().count() as u64,
             hours,
             kilometres,
-            unnecessary_braking: EventRate::new(unnecessary, [hours, kilometres]),
-            unnecessary_braking_drives: drives.clone().filter(brakes_unnecessarily).count() as u64,
+            unnecessary_braking: EventRate::new(brakings.clone().sum(), [hours, kilometres]),
+            unnecessary_braking_drives: brakings.filter(|count| *count > 0).count() as u64,
             hard_braking_drives: drives.clone().filter(is_hard).count() as u64,
             rms_jerk_mps3: mean(drives.clone().map(|drive| drive.measures.rms_jerk_mps3)),
             rms_jerk_sampled_mps3: mean(drives.clone().map(|drive| drive.sampled.rms_jerk_mps3)),
             time_gap_s: mean(drives.map(|drive| drive.measures.following?.mean_time_gap_s)),
         }
+    }
+
+    /// Summarises the drives of a controller.
+    fn from_runs(runs: &[DriveRun]) -> Self {
+        Self::new(runs.iter().map(|run| {
+            let [blamed, _] = run.unnecessary_by_cause();
+            (&run.drive, blamed)
+        }))
     }
 
     /// Summarises the recorded cars in the places of the vehicles under test.
@@ -108,7 +111,11 @@ impl DriveComfort {
         Self {
             // Their accelerations are known at the recorded intervals only.
             rms_jerk_mps3: None,
-            ..Self::new(drives.recorded())
+            ..Self::new(
+                drives
+                    .recorded()
+                    .map(|drive| (drive, drive.measures.unnecessary.count)),
+            )
         }
     }
 }
@@ -122,6 +129,13 @@ fn count_unanswered(runs: &[DriveRun]) -> Option<FailedControllerRuns> {
         }
     }
     unanswered
+}
+
+/// Returns the hours and kilometres of drives.
+pub(super) fn exposure<'a>(drives: impl Iterator<Item = &'a MeasuredDrive> + Clone) -> [f64; 2] {
+    let hours = drives.clone().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
+    let kilometres = drives.map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
+    [hours, kilometres]
 }
 
 /// Returns the mean of the known values.
@@ -156,7 +170,12 @@ pub struct DriveReport {
     pub hit_by_recording: u64,
     /// Collisions of other vehicles: no evidence about the controller.
     pub others_collide: u64,
-    /// Drives that a collision ended before any unnecessary braking: they decide nothing about the rest of the drive.
+    /// Unnecessary braking that the same drive does not have without the vehicle behind: it blames no controller.
+    pub caused_by_vehicle_behind: EventRate,
+    /// Number of drives with such braking.
+    pub caused_by_vehicle_behind_drives: u64,
+    /// Drives that a collision ended before any unnecessary braking that blames the controller: they decide nothing
+    /// about the rest of the drive.
     pub ended_before_unnecessary_braking: u64,
     /// Drives without a vehicle behind, in which no collision from behind can happen.
     pub without_vehicle_behind: u64,
@@ -164,10 +183,6 @@ pub struct DriveReport {
     pub far_behind_leader: u64,
     /// Root mean square of the difference to the recorded gaps, in metres; mean of the drives.
     pub rms_spacing_error_m: Option<f64>,
-    /// The controller on the same drives without any vehicle behind: the difference is what these vehicles cause.
-    /// Absent if no drive has one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub alone: Option<DriveComfort>,
     /// The recorded drivers in the same places.
     pub recorded: DriveComfort,
 }
@@ -175,12 +190,12 @@ pub struct DriveReport {
 impl DriveReport {
     /// Summarises the runs of a controller on a set of drives.
     #[must_use]
-    pub fn new(controller: &str, runs: &DriveRuns, drives: &DriveSet) -> Self {
-        let alone = runs.alone.as_ref();
-        let runs = &runs.driven;
-        let comfort = DriveComfort::new(runs.iter().map(|run| &run.drive));
+    pub fn new(controller: &str, runs: &[DriveRun], drives: &DriveSet) -> Self {
+        let comfort = DriveComfort::from_runs(runs);
+        let driven = [comfort.hours, comfort.kilometres];
+        let caused_behind = || runs.iter().map(|run| run.unnecessary_by_cause()[1] as u64);
         let ended_before_unnecessary_braking = |run: &&DriveRun| {
-            matches!(run.end, DriveEnd::Collision(..)) && run.drive.measures.unnecessary.is_empty()
+            matches!(run.end, DriveEnd::Collision(..)) && run.unnecessary_by_cause()[0] == 0
         };
         let count = |is_counted: &dyn Fn(&DriveEnd) -> bool| {
             runs.iter().filter(|run| is_counted(&run.end)).count() as u64
@@ -190,10 +205,7 @@ impl DriveReport {
         };
         Self {
             controller: controller.to_owned(),
-            failures: EventRate::new(
-                count(&DriveEnd::is_failure),
-                [comfort.hours, comfort.kilometres],
-            ),
+            failures: EventRate::new(count(&DriveEnd::is_failure), driven),
             comfort,
             hits_leader: collisions(CollisionRole::Hits),
             hit_from_behind: collisions(CollisionRole::HitFromBehind),
@@ -201,6 +213,9 @@ impl DriveReport {
             unanswered: count_unanswered(runs),
             hit_by_recording: collisions(CollisionRole::HitByRecording),
             others_collide: collisions(CollisionRole::Bystander),
+            caused_by_vehicle_behind: EventRate::new(caused_behind().sum(), driven),
+            caused_by_vehicle_behind_drives: caused_behind().filter(|count| *count > 0).count()
+                as u64,
             ended_before_unnecessary_braking: runs
                 .iter()
                 .filter(ended_before_unnecessary_braking)
@@ -208,7 +223,6 @@ impl DriveReport {
             without_vehicle_behind: drives.without_vehicle_behind() as u64,
             far_behind_leader: drives.far_behind_leader() as u64,
             rms_spacing_error_m: mean(runs.iter().map(|run| run.rms_spacing_error_m)),
-            alone: alone.map(|runs| DriveComfort::new(runs.iter().map(|run| &run.drive))),
             recorded: DriveComfort::of_recorded_cars(drives),
         }
     }
@@ -233,14 +247,15 @@ impl DriveReport {
             "per 100 km",
         );
         text += &self.failures.row("collisions and missing answers");
-        text += &self.comfort.unnecessary_braking.row("unnecessary braking");
-        for (comfort, what) in [
-            (self.alone.as_ref(), "  without the vehicle behind"),
-            (Some(&self.recorded), "  of the recorded cars"),
+        for (rate, what) in [
+            (&self.comfort.unnecessary_braking, "unnecessary braking"),
+            (
+                &self.caused_by_vehicle_behind,
+                "  only with the vehicle behind",
+            ),
+            (&self.recorded.unnecessary_braking, "  of the recorded cars"),
         ] {
-            if let Some(comfort) = comfort {
-                text += &comfort.unnecessary_braking.row(what);
-            }
+            text += &rate.row(what);
         }
         text += &self.describe_failures();
         text += &self.comfort_rows();
@@ -276,13 +291,9 @@ impl DriveReport {
             "", "rms jerk m/s³", "as recorded", "time gap s", "drives above 4 m/s²"
         );
         let rows = [
-            (name.as_str(), Some(&self.comfort)),
-            ("  no vehicle behind", self.alone.as_ref()),
-            ("recorded cars", Some(&self.recorded)),
+            (name.as_str(), &self.comfort),
+            ("recorded cars", &self.recorded),
         ];
-        let rows = rows
-            .into_iter()
-            .filter_map(|(name, comfort)| Some((name, comfort?)));
         for (name, comfort) in rows {
             text += &format!(
                 "  {name:<24} {:>14} {:>14} {:>14} {:>20}\n",
@@ -322,11 +333,26 @@ impl DriveReport {
             (self.far_behind_leader, "drive", &far_behind),
         ];
         let shown = notes.into_iter().filter(|(count, ..)| *count > 0);
-        shown
-            .map(|(count, noun, note)| {
-                let plural = plural(count);
-                format!("  {count} {noun}{plural} {note}\n")
-            })
+        let notes =
+            shown.map(|(count, noun, note)| format!("{count} {noun}{} {note}", plural(count)));
+        self.note_vehicle_behind()
+            .into_iter()
+            .chain(notes)
+            .map(|note| format!("  {note}\n"))
             .collect()
+    }
+
+    /// Returns the note about unnecessary braking that only the vehicle behind causes; `None` without such braking.
+    #[must_use]
+    pub fn note_vehicle_behind(&self) -> Option<String> {
+        let drives = self.caused_by_vehicle_behind_drives;
+        let note = || {
+            let plural = plural(drives);
+            format!(
+                "{drives} drive{plural} with unnecessary braking that the same drive does not have without the vehicle \
+                 behind: blames no controller"
+            )
+        };
+        (drives > 0).then(note)
     }
 }

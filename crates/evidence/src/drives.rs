@@ -101,6 +101,11 @@ impl DriveSet {
         &self.identity
     }
 
+    /// Yields the drives in groups that are small enough to be simulated together with their traces.
+    pub fn batches(&self) -> impl Iterator<Item = &[RecordedDrive]> {
+        batches(&self.drives)
+    }
+
     /// Iterates over the recorded drives in the places of the vehicles under test.
     pub fn recorded(&self) -> impl Iterator<Item = &MeasuredDrive> + Clone {
         self.drives.iter().map(|drive| &drive.recorded)
@@ -120,14 +125,22 @@ impl DriveSet {
         motions.filter(|motion| is_far_behind(motion)).count()
     }
 
-    /// Returns the number of simulations of [`Self::run`].
+    /// Returns the largest number of simulations of [`Self::run`]: if the controller fails in every drive.
     #[must_use]
-    pub fn run_count(&self) -> u64 {
+    pub fn max_run_count(&self) -> u64 {
         (2 * self.drives.len() - self.without_vehicle_behind()) as u64
     }
 
-    /// Lets the controller of `options` drive each drive once, and again without the vehicle behind where there is one:
-    /// the difference is what that vehicle causes. Calls `observer` with the number of simulations.
+    /// Returns the drive with the most vehicles, the first of several; `None` without drives.
+    #[must_use]
+    pub fn with_most_vehicles(&self) -> Option<&RecordedDrive> {
+        let vehicles = |drive: &&RecordedDrive| drive.scenario.vehicles().len();
+        // Of equal ones, the maximum is the last.
+        self.drives.iter().rev().max_by_key(vehicles)
+    }
+
+    /// Lets the controller of `options` drive each drive once, and those with unnecessary braking again without the
+    /// vehicle behind.
     ///
     /// # Errors
     /// [`DriveError`] if a controller cannot drive, or the observer stops.
@@ -135,49 +148,75 @@ impl DriveSet {
         &self,
         options: &RunOptions,
         observer: &dyn Observer<RunProgress>,
-    ) -> Result<DriveRuns, DriveError> {
-        let counter = ProgressCounter::new(observer, Some(self.run_count()));
+    ) -> Result<Vec<DriveRun>, DriveError> {
         let reduce = |drive: &RecordedDrive, _: &Run, simulated: &SimulationResult| {
             DriveRun::new(drive, simulated)
         };
-        let driven = run_each(&self.drives, options, &counter, &reduce)?;
-        let with_follower = self
-            .drives
-            .iter()
-            .filter(|drive| drive.has_vehicle_behind());
-        let shortened = with_follower
-            .map(shortened)
-            .collect::<Result<Vec<_>, _>>()?;
-        if shortened.is_empty() {
-            return Ok(DriveRuns {
-                driven,
-                alone: None,
-            });
-        }
-        let mut shortened = run_each(&shortened, options, &counter, &reduce)?.into_iter();
-        let runs = self.drives.iter().zip(&driven);
-        let alone = runs.filter_map(|(drive, run)| match drive.has_vehicle_behind() {
-            true => shortened.next(),
-            false => Some(run.clone()),
-        });
-        Ok(DriveRuns {
-            alone: Some(alone.collect()),
-            driven,
-        })
+        let runs = self.run_twice(options, observer, &reduce, &DriveRun::brakes_unnecessarily)?;
+        Ok(runs.into_iter().map(RunPair::compared).collect())
     }
 
-    /// Simulates each drive once with its trace, and returns what `reduce` makes of each run.
+    /// Simulates each drive once with its trace, and again without the vehicle behind, if there is one and `fails`
+    /// returns true. Returns what `reduce` makes of each run. Calls `observer` with the number of simulations.
     ///
     /// # Errors
     /// [`DriveError`] if a controller cannot drive, or the observer stops.
-    pub fn run_with<R: Send>(
+    pub(super) fn run_twice<R: Send>(
         &self,
         options: &RunOptions,
         observer: &dyn Observer<RunProgress>,
         reduce: &(dyn Fn(&RecordedDrive, &Run, &SimulationResult) -> R + Sync),
-    ) -> Result<Vec<R>, DriveError> {
-        let counter = ProgressCounter::new(observer, Some(self.drives.len() as u64));
-        run_each(&self.drives, options, &counter, reduce)
+        fails: &dyn Fn(&R) -> bool,
+    ) -> Result<Vec<RunPair<R>>, DriveError> {
+        let counter = ProgressCounter::new(observer, Some(self.max_run_count()));
+        let driven = run_each(&self.drives, options, &counter, reduce)?;
+        let runs = || self.drives.iter().zip(&driven);
+        let again = runs().map(|(drive, run)| drive.has_vehicle_behind() && fails(run));
+        let again: Vec<bool> = again.collect();
+        let repeated = self.drives.iter().zip(&again).filter(|(_, again)| **again);
+        let shortened = repeated.map(|(drive, _)| shortened(drive));
+        let shortened = shortened.collect::<Result<Vec<_>, _>>()?;
+        // Drives that need no second run are done.
+        let done = self.drives.len() + shortened.len();
+        counter.add(self.max_run_count().saturating_sub(done as u64))?;
+        let mut alone = run_each(&shortened, options, &counter, reduce)?.into_iter();
+        let pairs = driven.into_iter().zip(again).map(|(run, again)| RunPair {
+            run,
+            alone: again.then(|| alone.next()).flatten(),
+        });
+        Ok(pairs.collect())
+    }
+}
+
+/// Results of a drive.
+pub(super) struct RunPair<R> {
+    /// Result with the vehicle behind, if there is one.
+    pub(super) run: R,
+    /// Result without it; `None` if there is none, or the drive did not fail.
+    pub(super) alone: Option<R>,
+}
+
+impl<R> RunPair<R> {
+    /// Returns true if the drive fails only because of the vehicle behind: without it, the same drive is complete and
+    /// does not fail. Such a failure blames no controller.
+    pub(super) fn is_caused_behind(
+        &self,
+        drive: impl Fn(&R) -> &DriveRun,
+        fails: impl Fn(&R) -> bool,
+    ) -> bool {
+        let is_fine = |alone: &R| drive(alone).is_complete() && !fails(alone);
+        fails(&self.run) && self.alone.as_ref().is_some_and(is_fine)
+    }
+}
+
+impl RunPair<DriveRun> {
+    /// Returns the run with what is known of the drive without the vehicle behind.
+    pub(super) fn compared(self) -> DriveRun {
+        let is_caused_behind = self.is_caused_behind(|run| run, DriveRun::brakes_unnecessarily);
+        DriveRun {
+            brakes_only_with_vehicle_behind: is_caused_behind,
+            ..self.run
+        }
     }
 }
 
@@ -198,9 +237,7 @@ fn run_each<R: Send>(
     reduce: &(dyn Fn(&RecordedDrive, &Run, &SimulationResult) -> R + Sync),
 ) -> Result<Vec<R>, DriveError> {
     let mut results = Vec::with_capacity(drives.len());
-    let mut rest = drives;
-    while !rest.is_empty() {
-        let (together, later) = rest.split_at(count_together(rest));
+    for together in batches(drives) {
         let runs = together
             .iter()
             .map(|drive| drive.prepare(options))
@@ -211,9 +248,17 @@ fn run_each<R: Send>(
             |index, simulated| reduce(&together[index], &runs[index], &simulated),
         ));
         counter.add(together.len() as u64)?;
-        rest = later;
     }
     Ok(results)
+}
+
+fn batches(drives: &[RecordedDrive]) -> impl Iterator<Item = &[RecordedDrive]> {
+    let mut rest = drives;
+    std::iter::from_fn(move || {
+        let (together, later) = rest.split_at_checked(count_together(rest))?;
+        rest = later;
+        Some(together)
+    })
 }
 
 /// Returns the number of first drives that are simulated together, at least one.
@@ -260,15 +305,6 @@ impl DriveEnd {
     }
 }
 
-/// All drives of a controller, in the order of the set.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DriveRuns {
-    /// The drives with the vehicles behind.
-    pub driven: Vec<DriveRun>,
-    /// The drives without any vehicle behind; `None` if no drive has one.
-    pub alone: Option<Vec<DriveRun>>,
-}
-
 /// A drive of a controller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveRun {
@@ -280,9 +316,34 @@ pub struct DriveRun {
     pub drive: MeasuredDrive,
     /// Root mean square of the difference of the gap to the recorded gap, in metres; `None` without recorded motion.
     pub rms_spacing_error_m: Option<f64>,
+    /// True if only the vehicle behind causes unnecessary braking: the same drive without it has none.
+    pub brakes_only_with_vehicle_behind: bool,
 }
 
 impl DriveRun {
+    /// True if the drive reached the end of the recording.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.end == DriveEnd::Complete
+    }
+
+    /// True with unnecessary braking, whatever causes it.
+    #[must_use]
+    pub fn brakes_unnecessarily(&self) -> bool {
+        !self.drive.measures.unnecessary.is_empty()
+    }
+
+    /// Returns the number of unnecessary brakings that blame the controller, and of those that only the vehicle behind
+    /// causes.
+    #[must_use]
+    pub fn unnecessary_by_cause(&self) -> [usize; 2] {
+        let count = self.drive.measures.unnecessary.count;
+        match self.brakes_only_with_vehicle_behind {
+            true => [0, count],
+            false => [count, 0],
+        }
+    }
+
     /// Measures a run with its trace.
     #[must_use]
     pub fn new(drive: &RecordedDrive, simulated: &SimulationResult) -> Self {
@@ -314,6 +375,7 @@ impl DriveRun {
             },
             rms_spacing_error_m: recorded
                 .and_then(|motion| series.rms_gap_difference_m(&motion.gap_m)),
+            brakes_only_with_vehicle_behind: false,
         }
     }
 }

@@ -82,7 +82,6 @@ fn collisions_count_by_blame() {
     let drives = load(folder.path(), &drives()).unwrap();
     let runs = drives.run(&options("idm"), &Quiet).unwrap();
     let roles: Vec<_> = runs
-        .driven
         .iter()
         .map(|run| match &run.end {
             DriveEnd::Collision(role, _) => Some(*role),
@@ -111,7 +110,6 @@ fn collisions_count_by_blame() {
     );
     // Hours end with the collision of the run.
     let ends_s: f64 = runs
-        .driven
         .iter()
         .map(|run| match &run.end {
             DriveEnd::Collision(_, collision) => collision.time_s,
@@ -165,29 +163,29 @@ fn recorded_cars_are_measured_beside_the_controller() {
     );
 }
 
+fn search(drives: &DriveSet, controller: &str, text: &str) -> DriveSearch {
+    let specification = DriveSearch::parse_specification(text, drives).unwrap();
+    DriveSearch::run(
+        drives,
+        (controller, options(controller)),
+        (text, &specification),
+        &Quiet,
+    )
+    .unwrap()
+}
+
+fn failed_drives(search: &DriveSearch) -> Vec<&str> {
+    let names = search.failures.iter().map(|failure| failure.name.as_str());
+    names.collect()
+}
+
 #[test]
 fn a_search_lists_the_failures_that_blame_the_controller() {
     let folder = tempfile::tempdir().unwrap();
     let drives = load(folder.path(), &drives()).unwrap();
-    let search = |text: &str| {
-        let specification = Specification::parse(text, &drives.drives()[0].scenario).unwrap();
-        DriveSearch::run(
-            &drives,
-            ("idm", options("idm")),
-            (text, &specification),
-            &Quiet,
-        )
-        .unwrap()
-    };
-    let names = |search: &DriveSearch| -> Vec<String> {
-        search
-            .failures
-            .iter()
-            .map(|failure| failure.name.clone())
-            .collect()
-    };
-    assert_eq!(names(&search(Specification::NO_COLLISION)), ["b-scripted"]);
-    let slow = search("always v1.speed_mps > 15");
+    let collisions = search(&drives, "idm", Specification::NO_COLLISION);
+    assert_eq!(failed_drives(&collisions), ["b-scripted"]);
+    let slow = search(&drives, "idm", "always v1.speed_mps > 15");
     assert_eq!((slow.failures.len(), slow.violations.count), (4, 4));
     let robustness: Vec<_> = slow
         .failures
@@ -195,6 +193,73 @@ fn a_search_lists_the_failures_that_blame_the_controller() {
         .map(|failure| failure.robustness)
         .collect();
     assert!(robustness.is_sorted(), "{robustness:?}");
+}
+
+/// The leader slows from 20 to 10 m/s at 5 m/s², with a human behind the vehicle under test, and with no vehicle.
+fn hard_drives() -> [Scenario; 2] {
+    let hard = || {
+        Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
+            time_s: vec![0.0, 10.0, 12.0, DURATION_S],
+            speed_mps: vec![20.0, 20.0, 10.0, 10.0],
+        }))
+    };
+    let human = BuiltInController::from_name("human").map(Driver::Controller);
+    [
+        drive("a-human", hard(), human),
+        drive("b-alone", hard(), None),
+    ]
+}
+
+/// `predictive` brakes harder than its leader for the human, and `r157-simple` also without one.
+#[test]
+fn braking_that_only_the_vehicle_behind_causes_blames_no_controller() {
+    let folder = tempfile::tempdir().unwrap();
+    let drives = load(folder.path(), &hard_drives()).unwrap();
+    for (controller, blamed, caused_behind) in [("predictive", 0, 1), ("r157-simple", 2, 0)] {
+        let runs = drives.run(&options(controller), &Quiet).unwrap();
+        let report = DriveReport::new(controller, &runs, &drives);
+        let counts = [
+            report.comfort.unnecessary_braking.count,
+            report.comfort.unnecessary_braking_drives,
+            report.caused_by_vehicle_behind.count,
+            report.caused_by_vehicle_behind_drives,
+        ];
+        assert_eq!(counts, [blamed, blamed, caused_behind, caused_behind]);
+        let note = "does not have without the vehicle behind: blames no controller";
+        assert_eq!(report.to_text().contains(note), caused_behind > 0);
+        // A search counts alike, by the rule and by a formula.
+        for text in ["no braking without cause", "always v1.accel_mps2 > -5.5"] {
+            let search = search(&drives, controller, text);
+            assert_eq!(search.counts, report, "{text}");
+            let violations = [
+                search.violations.count,
+                search.violated_only_with_vehicle_behind,
+            ];
+            assert_eq!(violations, [blamed, caused_behind], "{controller} {text}");
+        }
+    }
+}
+
+#[test]
+fn a_formula_about_the_vehicle_behind_applies_where_there_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let [human, alone] = hard_drives();
+    let both = load(folder.path(), &[human, alone.clone()]).unwrap();
+    for text in ["always v2.gap_m > 100", "imposed braking at most 0.1 m/s2"] {
+        let behind = search(&both, "idm", text);
+        assert_eq!(failed_drives(&behind), ["a-human"], "{text}");
+        assert_eq!(behind.not_applicable, 1, "{text}");
+        let hours = 1.0 / behind.violations.per_hour.estimate;
+        assert!((hours * 3600.0 - DURATION_S).abs() < 0.3, "{hours}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let without = load(folder.path(), &[alone]).unwrap();
+    let refused = DriveSearch::parse_specification("always v2.gap_m > 1", &without).unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "the formula names `v2`, but the drives have only the vehicles `v0` to `v1`; no drive has a vehicle behind the \
+         one under test"
+    );
 }
 
 #[test]

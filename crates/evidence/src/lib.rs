@@ -56,7 +56,7 @@ pub use kernel::{kernel_certificate, shipped_kernels};
 pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns, PairedTest};
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
-pub use pool::{PoolCheck, PoolError, PoolReport, rejected_pool_json};
+pub use pool::{PoolCheck, PoolError, PoolReport, RejectedPool};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use reach::{
     BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, ReachReport, UndecidedCounts,

@@ -181,7 +181,8 @@ impl MethodPair {
             fewer_simulations,
         } = self;
         format!(
-            "{first} against {second}: only one falsifies {} to {} (p {:.3}); fewer simulations {} to {} (p {:.3})\n",
+            "{first} against {second}: only it falsifies in {} to {} seeds (p {:.3}); it needs fewer simulations in \
+             {} to {} (p {:.3})\n",
             falsified.first,
             falsified.second,
             falsified.p_corrected,
@@ -318,7 +319,8 @@ impl MethodComparison {
         } = self;
         let seeds = methods.first().map_or(0, |method| method.runs.len());
         let mut text = format!(
-            "{controller} in {space}, `{specification}`: {seeds} {}, at most {budget} simulations each\n\n\
+            "{controller} in {space}, `{specification}`: {seeds} {}, at most {budget} simulations each; \
+             mean and median number of simulations in the falsified ones\n\n\
              {:<20} {:>10} {:>17} {:>10} {:>10}\n",
             if seeds == 1 { "seed" } else { "seeds" },
             "method",

@@ -10,8 +10,6 @@ use crumple_sim::engine::NamedController;
 use crumple_verify::{Certificate, Pool, PoolRejection, PooledRate, WorkLimit};
 
 use super::certificate_report::{describe_plants, is_built_in};
-pub use json::rejected_pool_json;
-
 use super::{BindingError, CountsStatus, Rerun, RerunError, check_binding};
 
 /// Reason why a certificate cannot be added to a pool.
@@ -146,6 +144,15 @@ pub struct PoolReport {
     space: String,
     is_built_in: Option<bool>,
     plants: Option<&'static str>,
+}
+
+/// A pool that the checker rejected, or a certificate of it.
+#[derive(Debug)]
+pub struct RejectedPool {
+    /// Number of certificates.
+    pub certificates: usize,
+    /// Reason of the rejection.
+    pub rejection: String,
 }
 
 impl PoolReport {

@@ -117,8 +117,8 @@ impl ReplayReport {
         let mut text = String::new();
         if !hardest.is_empty() {
             text += &format!(
-                "  {:>6} {:>6} {:>6} {:>6} {:>7} {:>7}  vehicle\n",
-                "m/s²", "driver", "for s", "m/s", "gap m", "from s"
+                "  {:>12} {:>12} {:>6} {:>6} {:>7} {:>7}  vehicle\n",
+                "braking m/s²", "driver m/s²", "for s", "at m/s", "gap m", "from s"
             );
         }
         text.extend(hardest.iter().take(MAX_LISTED).map(|braking| braking.row()));
@@ -160,7 +160,7 @@ impl BrakingReport {
         };
         let origin = format!("{}{event} of {}", self.vehicle, self.recording);
         format!(
-            "  {:>6.2} {:>6.2} {:>6.2} {:>6.2} {:>7.2} {:>7.2}  {}\n",
+            "  {:>12.2} {:>12.2} {:>6.2} {:>6.2} {:>7.2} {:>7.2}  {}\n",
             self.brake_mps2,
             self.driver_brake_mps2,
             self.duration_s,

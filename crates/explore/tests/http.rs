@@ -12,7 +12,7 @@ use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::path::Path;
 use std::sync::{Mutex, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crumple_explore::{CatalogScenario, CatalogSuite, ExploreConfig, Server};
 use crumple_search::worst_case::{AvoidOptions, AvoidReport, avoid};
@@ -67,7 +67,7 @@ static MANY_CONNECTIONS: Mutex<()> = Mutex::new(());
 fn connect(port: u16) -> TcpStream {
     let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
     stream
-        .set_read_timeout(Some(Duration::from_secs(60)))
+        .set_read_timeout(Some(Duration::from_secs(300)))
         .unwrap();
     stream
 }
@@ -281,21 +281,22 @@ fn fifty_simultaneous_clients_receive_their_own_responses() {
     }
 }
 
-/// More idle connections than the server keeps do not delay a request until their time limit of 10 s.
+/// More idle connections than the server keeps do not delay a request until their time limit.
 #[test]
 fn idle_connections_do_not_block_others() {
     let _alone = MANY_CONNECTIONS.lock();
+    let (port, token) = start_patient_server();
     let idle: Vec<_> = (0..400)
-        .map(|_| TcpStream::connect(("127.0.0.1", test_server().port)).unwrap())
+        .map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap())
         .collect();
-    let start = Instant::now();
-    assert_eq!(post("open", br#"{"scenario": 0}"#).0, 200);
-    assert!(
-        start.elapsed() < Duration::from_secs(10),
-        "{:?}",
-        start.elapsed()
-    );
+    assert_eq!(post_at(port, &token, "open", br#"{"scenario": 0}"#).0, 200);
     drop(idle);
+}
+
+/// Starts a server whose time limit is an hour: a client that waits for it fails first.
+fn start_patient_server() -> (u16, String) {
+    let server = Server::bind(0, ExploreConfig::default()).unwrap();
+    start(server.with_read_timeout(Duration::from_secs(3600)))
 }
 
 /// Sends a request without its body except for the first byte.
@@ -324,12 +325,7 @@ fn read_response(stream: &mut TcpStream) -> String {
 #[test]
 fn slow_requests_do_not_block_other_clients() {
     let _alone = MANY_CONNECTIONS.lock();
-    let timeout = Duration::from_secs(3600);
-    let (port, token) = start(
-        Server::bind(0, ExploreConfig::default())
-            .unwrap()
-            .with_read_timeout(timeout),
-    );
+    let (port, token) = start_patient_server();
     let mut bodies: Vec<_> = (0..130).map(|_| start_request(port, &token)).collect();
     let heads: Vec<_> = (0..130)
         .map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap())

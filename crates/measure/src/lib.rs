@@ -30,8 +30,10 @@
 //! | `run_report` | report of a run, as text and as JSON |
 //! | `replay_share` | share of replays with a result |
 //! | `run_total` | total of several runs |
+//! | `braking_alone` | unnecessary braking that only the vehicles behind cause |
 
 mod approach;
+mod braking_alone;
 mod collision_role;
 mod comfort;
 mod demand;
@@ -57,6 +59,7 @@ mod usefulness;
 use serde::{Deserialize, Serialize};
 
 pub use approach::{Approach, PairState};
+pub use braking_alone::{BrakingAloneError, BrakingAloneProblem};
 pub use collision_role::CollisionRole;
 pub use comfort::{JERK_WINDOW_S, peak_brake_mps2, peak_jerk_mps3};
 pub use demand::{InducedBraking, drac_mps2, required_brake_mps2};

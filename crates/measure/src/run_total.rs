@@ -40,8 +40,10 @@ impl RunEnd {
 pub struct RunFindings {
     /// End of the run.
     pub end: RunEnd,
-    /// True if a vehicle under test brakes unnecessarily.
+    /// True if a vehicle under test brakes unnecessarily, whatever causes it.
     pub brakes_unnecessarily: bool,
+    /// True if only a vehicle behind causes this braking.
+    pub brakes_only_with_vehicle_behind: bool,
     /// True if a vehicle under test falls behind its leader.
     pub fell_behind: bool,
     /// True if a specification is violated.
@@ -57,6 +59,7 @@ impl RunFindings {
         Self {
             end: RunEnd::new(&report.outcome, report.simulated_scenario),
             brakes_unnecessarily: report.brakes_unnecessarily(),
+            brakes_only_with_vehicle_behind: report.brakes_only_with_vehicle_behind,
             fell_behind: !report.fell_behind.is_empty(),
             violated: report.violates_specification(),
             ends_under_test: report.simulated_scenario.ends_under_test(),
@@ -89,9 +92,9 @@ pub struct RunTotal {
     others_collide: usize,
     controller_failed: usize,
     brakes_unnecessarily: usize,
-    /// Scenarios in which this also happens without the vehicles behind those under test; `None` if not counted.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    brakes_unnecessarily_alone: Option<usize>,
+    /// Those of them in which only a vehicle behind causes it; left out if there is none.
+    #[serde(skip_serializing_if = "is_default")]
+    brakes_only_with_vehicle_behind: usize,
     fell_behind: usize,
     /// Scenarios whose last vehicle is under test; left out if there is none.
     #[serde(skip_serializing_if = "is_default")]
@@ -128,21 +131,11 @@ impl RunTotal {
             others_collide: ends(RunEnd::Collision(CollisionRole::Bystander)),
             controller_failed: ends(RunEnd::ControllerFailed),
             brakes_unnecessarily: count(&|run| run.brakes_unnecessarily),
-            brakes_unnecessarily_alone: None,
+            brakes_only_with_vehicle_behind: count(&|run| run.brakes_only_with_vehicle_behind),
             fell_behind: count(&|run| run.fell_behind),
             without_vehicle_behind: count(&|run| run.ends_under_test),
             violated: has_specifications.then(|| count(&|run| run.violated)),
             plant_collisions: None,
-        }
-    }
-
-    /// Adds the number of scenarios with unnecessary braking that has it also without the vehicles behind those under
-    /// test. The others show reactions to these vehicles.
-    #[must_use]
-    pub fn with_braking_alone(self, scenarios: usize) -> Self {
-        Self {
-            brakes_unnecessarily_alone: Some(scenarios),
-            ..self
         }
     }
 
@@ -182,11 +175,11 @@ impl RunTotal {
 
     /// Returns the numbers with their descriptions.
     fn rows(&self) -> [(usize, Cow<'static, str>); 10] {
-        let braking = match self.brakes_unnecessarily_alone {
-            Some(alone) => {
-                format!("unnecessary braking, {alone} of them also with no vehicle behind")
-            }
-            None => "unnecessary braking".to_owned(),
+        let braking = match self.brakes_only_with_vehicle_behind {
+            0 => "unnecessary braking".to_owned(),
+            behind => format!(
+                "unnecessary braking, {behind} of them only with the vehicle behind: blames no controller"
+            ),
         };
         [
             (self.no_collision, "no collision".into()),

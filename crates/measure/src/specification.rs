@@ -229,6 +229,25 @@ impl Specification {
         }
     }
 
+    /// Returns the number of vehicles in runs that have all signals of a formula; 0 for other specifications.
+    #[must_use]
+    pub fn vehicle_count(&self) -> usize {
+        match self {
+            Self::Formula(formula) => formula.vehicle_count(),
+            Self::NoCollision | Self::DrivingRule(_) => 0,
+        }
+    }
+
+    /// Returns true for a formula or a rule about a vehicle behind vehicle `index`.
+    #[must_use]
+    pub fn is_about_vehicle_behind(&self, index: usize) -> bool {
+        match self {
+            Self::Formula(_) => self.vehicle_count() > index + 1,
+            Self::DrivingRule(rule) => matches!(rule, DrivingRule::InducedBraking { .. }),
+            Self::NoCollision => false,
+        }
+    }
+
     /// Returns the recording level that [`Self::evaluate`] needs.
     #[must_use]
     pub fn recording_level(&self) -> RecordingLevel {

@@ -150,6 +150,12 @@ fn write_properties<N: AsRef<str>>(
     writeln!(out, "{indent}</properties>")
 }
 
+/// Joins the parts of the class of a case. Build servers split a class at its dots, so those of names are replaced.
+pub(crate) fn join_class(parts: &[&str]) -> String {
+    let parts = parts.iter().map(|part| part.replace('.', "_"));
+    parts.collect::<Vec<_>>().join(".")
+}
+
 impl JunitSuite {
     fn write(&self, requirements: &RequirementVerifiers<'_>, out: &mut String) -> fmt::Result {
         let [skipped, failures, errors] = count_statuses(self.cases.iter());

@@ -124,10 +124,7 @@ impl ScenarioSpace {
         for (index, parameter) in self.parameters.iter().enumerate() {
             for end in parameter.ends() {
                 let mut values = nominal.clone();
-                values
-                    .get_mut(parameter.coordinates.clone())
-                    .unwrap_or_default()
-                    .fill(end);
+                parameter.set(&mut values, end);
                 if let Err(invalid) = self.scenario(&values)
                     && (matches!(parameter.target, FieldTarget::Vehicle(_, VehicleField::Gap))
                         || !is_joint_problem(&invalid))
@@ -162,24 +159,27 @@ impl ScenarioSpace {
                 );
                 return reject("parameters", problem);
             }
-            for corner in 0..1_usize << parameters.len() {
-                let mut values = self.nominal();
-                for (bit, parameter) in parameters.iter().enumerate() {
-                    let [low, high] = parameter.ends();
-                    let end = if corner >> bit & 1 == 0 { low } else { high };
-                    values
-                        .get_mut(parameter.coordinates.clone())
-                        .unwrap_or_default()
-                        .fill(end);
-                }
-                if let Err(invalid) = self.scenario(&values) {
-                    let names: Vec<_> =
-                        parameters.iter().map(|p| format!("`{}`", p.name)).collect();
-                    return reject(
-                        "parameters",
-                        format!("{} do not fit together: {invalid}", names.join(", ")),
-                    );
-                }
+            self.check_corners_of(&parameters)?;
+        }
+        Ok(())
+    }
+
+    /// Checks the scenario at each combination of the ends of some parameters, with all others nominal.
+    fn check_corners_of(&self, parameters: &[&SpaceParameter]) -> Result<(), InvalidSpace> {
+        for corner in 0..1_usize << parameters.len() {
+            let mut values = self.nominal();
+            for (bit, parameter) in parameters.iter().enumerate() {
+                let [low, high] = parameter.ends();
+                let is_low = corner >> bit & 1 == 0;
+                parameter.set(&mut values, if is_low { low } else { high });
+            }
+            if let Err(invalid) = self.scenario(&values) {
+                let names: Vec<_> = parameters
+                    .iter()
+                    .map(|parameter| format!("`{}`", parameter.name))
+                    .collect();
+                let problem = format!("{} do not fit together: {invalid}", names.join(", "));
+                return reject("parameters", problem);
             }
         }
         Ok(())
@@ -271,5 +271,13 @@ impl ParameterValue {
 impl SpaceParameter {
     fn ends(&self) -> [f64; 2] {
         [self.marginal.low(), self.marginal.high()]
+    }
+
+    /// Sets all coordinates of the parameter in the values of a space.
+    fn set(&self, values: &mut [f64], value: f64) {
+        values
+            .get_mut(self.coordinates.clone())
+            .unwrap_or_default()
+            .fill(value);
     }
 }

@@ -68,6 +68,15 @@ pub trait Study {
         self.configuration().map(Some)
     }
 
+    /// Returns two texts of one form, whose first difference a refusal to resume names: the configuration file
+    /// `existing` of another study, and that of this one. Values that do not decide the results are equal.
+    ///
+    /// # Errors
+    /// [`Self::Error`] if the configuration cannot be encoded.
+    fn compared_configurations(&self, existing: &str) -> Result<[String; 2], Self::Error> {
+        Ok([existing.to_owned(), self.configuration()?])
+    }
+
     /// Returns true if a finished study with the configuration `existing` has the results of this one. By default, only
     /// the version of crumple and the order of fields may differ.
     fn is_configured_by(&self, existing: &str) -> bool {
@@ -254,7 +263,10 @@ pub fn open_run_folder<S: Study>(
         resume,
         outputs: S::OUTPUTS,
     };
-    Ok(RunFolder::open(folder, options)?)
+    let opened = RunFolder::open(folder, options);
+    Ok(opened.map_err(|error| {
+        error.with_difference(|existing| study.compared_configurations(existing).ok())
+    })?)
 }
 
 /// Returns the configuration of a finished study in a folder, if the study has its results.

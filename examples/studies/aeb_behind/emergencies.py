@@ -5,13 +5,13 @@ of three vehicles follows a script; controllers drive the second and the third. 
 ../emergencies.toml and docs/reference/spaces.md (distributions, derived fields), vehicles.md (classes, from command to
 acceleration) and scenarios.md (scripts, default settings) beside it, docs/mathematics.md (controllers, the driver
 `human`, after a collision), docs/controllers.md and docs/reference/observations.md (the true state, with the
-accelerations commanded a step before), reports/aeb-behind.md (a car that is pushed into the vehicle ahead counts as hit
-from behind only).
+accelerations of the last step), reports/aeb-behind.md (a car that is pushed into the vehicle ahead counts as hit from
+behind only).
 
-Readings where a page left a choice: an observed acceleration is the commanded one after the limits, so a car that
-coasts after an impact shows no brake lights; the braking level of `human` is the largest deceleration that it commands;
-the duration of a glance is a mean; a reason to brake lasts while the true closing speed is positive. Since then,
-docs/mathematics.md states the rules of crumple, which differ for brake lights after an impact and for glances.
+The pages left choices open for `human`: what brake lights show after an impact and at standstill, which of two reasons
+decides the reaction, the distribution of glances, and levels outside their range. docs/mathematics.md states these
+rules since the first comparison (reports/aeb-behind.md). An author who knows the source then changed this program to
+follow the page.
 
 A run ends when the third vehicle hits the second: nothing that happens later counts.
 """
@@ -20,6 +20,7 @@ import math
 import random
 
 STEP_S = 0.01
+HALF_STEP_S = STEP_S / 2.0  # durations of `human` are rounded to steps
 NEVER_S = math.inf
 FULL_BRAKE_MPS2 = 1000.0  # limited by vehicle and friction
 HOLD_BRAKE_MPS2 = 6.0
@@ -50,9 +51,9 @@ def truncated_normal(generator, mean, deviation, low, high):
             return value
 
 
-def log_normal_of_mean(generator, mean, shape):
-    """A log-normal number with this mean and this standard deviation of the logarithm."""
-    return mean * math.exp(generator.gauss(-shape * shape / 2.0, shape))
+def log_normal(generator, median, shape):
+    """A log-normal number with this median and this standard deviation of the logarithm."""
+    return median * math.exp(generator.gauss(0.0, shape))
 
 
 def draw(generator, distribution):
@@ -116,41 +117,45 @@ class HumanDriver:
     def __init__(self, settings, generator, gap_m, speed_mps):
         """Draws the traits of a driver whose first observation is this gap and speed."""
         self.random, self.glance = generator, (settings["glance_s"], settings["glance_shape"])
-        factor = log_normal_of_mean(generator, 1.0, settings["reaction_shape"])
+        shape = settings["reaction_shape"]
+        factor = log_normal(generator, math.exp(-shape * shape / 2.0), shape)  # its mean is 1
         self.reaction_s, self.surprise_s = settings["reaction_s"] * factor, settings["surprise_s"] * factor
-        self.level_mps2 = truncated_normal(generator, settings["brake_mps2"], settings["brake_deviation_mps2"],
-                                           *HUMAN_BRAKE_RANGE_MPS2)
+        weakest_mps2, hardest_mps2 = HUMAN_BRAKE_RANGE_MPS2
+        level_mps2 = generator.gauss(settings["brake_mps2"], settings["brake_deviation_mps2"])
+        self.level_mps2 = min(max(level_mps2, weakest_mps2), hardest_mps2)
         time_gap_s = min((gap_m - IDM["standstill_gap_m"]) / speed_mps, settings["time_headway_s"])
         self.accelerate = make_idm(IDM | {"desired_speed_mps": max(IDM["desired_speed_mps"], speed_mps),
                                           "time_headway_s": max(time_gap_s, SHORTEST_HUMAN_TIME_GAP_S)})
         self.emergency_brake = make_brake(settings["aeb_ttc_s"], settings["aeb_brake_mps2"], False)
         self.has_emergency_brake, self.looming_rad_per_s = settings["aeb_ttc_s"] > 0.0, settings["looming_rad_per_s"]
-        self.glance_chance = 1.0 - math.exp(-settings["glance_per_s"] * STEP_S)
+        self.glance_chance = settings["glance_per_s"] * STEP_S
         self.foot_on_brake_at_s, self.pedals_mps2, self.glance_ends_at_s = NEVER_S, 0.0, 0.0
 
     def decide(self, time_s, gap_m, speed_mps, closing_mps, leader_accel_mps2):
         """Command in m/s²: the harder one of driver and emergency brake."""
-        if time_s >= self.glance_ends_at_s:
+        if time_s + HALF_STEP_S >= self.glance_ends_at_s:
             self.look(time_s, gap_m, speed_mps, closing_mps, leader_accel_mps2)
         if self.has_emergency_brake and (brake_mps2 := self.emergency_brake(gap_m, speed_mps, closing_mps)) < 0.0:
             return min(self.pedals_mps2, brake_mps2)
         return self.pedals_mps2
 
     def look(self, time_s, gap_m, speed_mps, closing_mps, leader_accel_mps2):
-        """Perceives the leader and moves the pedals, or begins a glance elsewhere."""
+        """Perceives the leader and moves the pedals. A driver without a reason to brake may then glance elsewhere."""
+        had_reason = self.foot_on_brake_at_s < NEVER_S
         expansion_rad_per_s = SEEN_WIDTH_M * closing_mps / (gap_m * gap_m + SEEN_WIDTH_M * SEEN_WIDTH_M / 4.0)
-        perceived_mps = closing_mps if expansion_rad_per_s >= self.looming_rad_per_s else 0.0
+        perceived_mps = closing_mps if abs(expansion_rad_per_s) > self.looming_rad_per_s else 0.0
         is_lit = leader_accel_mps2 <= -BRAKE_LIGHTS_MPS2
-        if is_lit or perceived_mps > 0.0:
-            foot_at_s = time_s + (self.reaction_s if is_lit else self.surprise_s)
-            self.foot_on_brake_at_s = min(self.foot_on_brake_at_s, foot_at_s)
-        elif closing_mps <= 0.0:
-            self.foot_on_brake_at_s = NEVER_S  # no reason to brake
-        if self.foot_on_brake_at_s == NEVER_S and self.random.random() < self.glance_chance:
-            self.glance_ends_at_s = time_s + log_normal_of_mean(self.random, *self.glance)
-            return
-        hardest_mps2 = self.level_mps2 if time_s >= self.foot_on_brake_at_s else FOOT_OFF_BRAKE_MPS2
+        if not (is_lit or perceived_mps > 0.0 or (had_reason and closing_mps > 0.0)):
+            self.foot_on_brake_at_s = NEVER_S
+        elif not had_reason:
+            self.foot_on_brake_at_s = time_s + (self.reaction_s if is_lit else self.surprise_s)
+        is_braking = time_s + HALF_STEP_S >= self.foot_on_brake_at_s
+        hardest_mps2 = self.level_mps2 if is_braking else FOOT_OFF_BRAKE_MPS2
         self.pedals_mps2 = max(self.accelerate(gap_m, speed_mps, perceived_mps), -hardest_mps2)
+        if not had_reason and self.random.random() < self.glance_chance:
+            glance_s = log_normal(self.random, *self.glance)
+            self.glance_ends_at_s = time_s + STEP_S + glance_s
+            self.foot_on_brake_at_s += glance_s  # a reaction waits for the end of the glance
 
 
 def make_controller(text, generator, gap_m, speed_mps):
@@ -185,6 +190,7 @@ class Line:
         self.speeds_mps = [speed_mps] * 3
         self.gap_ahead_m, self.gap_behind_m = gap_ahead_m, gap_behind_m
         self.hit_ahead = self.hit_behind = False
+        self.observed_mps2 = (0.0, 0.0, 0.0)  # accelerations in the last step, after a collision in it those since then
 
     def effective(self, first_mps2, second_mps2, third_mps2):
         """Accelerations of the motion: collided vehicles are one body, and no vehicle reverses."""
@@ -219,6 +225,7 @@ class Line:
     def step(self, accels_mps2):
         """One step of the scenario with constant accelerations, exact stops and exact times of collisions."""
         remaining_s = STEP_S
+        accels_mps2 = self.observed_mps2 = self.effective(*accels_mps2)
         while not self.hit_behind:
             first_mps2, second_mps2, third_mps2 = effective_mps2 = self.effective(*accels_mps2)
             first_mps, second_mps, third_mps = self.speeds_mps
@@ -234,6 +241,7 @@ class Line:
             if event == "ahead":
                 self.hit_ahead = True
                 self.speeds_mps[:2] = [sum(self.speeds_mps[:2]) / 2.0] * 2
+                self.observed_mps2 = self.effective(*accels_mps2)
             elif event == "behind":
                 self.hit_behind = True
             else:
@@ -254,16 +262,16 @@ def run_emergency(figure, follower_class, space, generator):
     second_low_mps2, second_high_mps2 = -second["max_brake_mps2"] * friction, second["max_accel_mps2"]
     third_low_mps2 = -(third["max_brake_mps2"] + numbers["follower_brake_offset_mps2"]) * friction
     collided_mps2 = {"hold": max(-HOLD_BRAKE_MPS2, second_low_mps2), "coast": 0.0}[figure["after_collision"]]
-    first_mps2 = second_mps2 = 0.0
     for step in range(round(space["base"]["duration_s"] / STEP_S)):
         time_s = step * STEP_S
         first_mps, second_mps, third_mps = line.speeds_mps
-        command_mps2 = decide_third(time_s, line.gap_behind_m, third_mps, third_mps - second_mps, second_mps2)
+        ahead_mps2, own_mps2, _ = line.observed_mps2  # of the leader of the second vehicle, and of that of the third
+        command_mps2 = decide_third(time_s, line.gap_behind_m, third_mps, third_mps - second_mps, own_mps2)
         third_mps2 = min(max(command_mps2, third_low_mps2), third["max_accel_mps2"])
         if line.hit_ahead:
             second_mps2 = collided_mps2
         else:
-            command_mps2 = decide_second(time_s, line.gap_ahead_m, second_mps, second_mps - first_mps, first_mps2)
+            command_mps2 = decide_second(time_s, line.gap_ahead_m, second_mps, second_mps - first_mps, ahead_mps2)
             second_mps2 = min(max(command_mps2, second_low_mps2), second_high_mps2)
         first_mps2 = -lead_brake_mps2 * min(max((time_s + STEP_S - numbers["lead_onset_s"]) / STEP_S, 0.0), 1.0)
         line.step((first_mps2, second_mps2, third_mps2))

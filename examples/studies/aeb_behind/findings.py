@@ -274,7 +274,7 @@ def answer_of_change(question, by_system):
     count = sum(verdict(found, RULE["limit"][question["measure"]]).startswith(NO_ANSWER)
                 for found in by_system.values())
     return (f"{NO_ANSWER} for {count} of {len(by_system)} models of these cars, extrapolated here "
-            f"({len(systems[most])}: {most}{others}): {span} ({ends}).")
+            f"({len(systems[most])} cars: {most}{others}): {span} ({ends}).")
 
 
 def upper_bound(failures, runs, error_probability):
@@ -309,7 +309,7 @@ def answer_of_left(question, found, runs, fails_s9):
     if upper >= question["limit"] or not fails_s9:
         sys.exit("error: the sentence about collisions within the tests holds no longer")
     return (f"{word}, in these emergencies: {span} ({ends}) still end in a collision; the limit is "
-            f"{question['limit']:g}. **Yes, within the tests' speeds and braking**, on dry roads without lorries: "
+            f"{question['limit']:g}. **Yes, at 36 to 80 km/h and at most 4.9 m/s²**, on dry roads without lorries: "
             f"{100 * count / emergencies:.1f} (at most {upper:.1f}). The brake fails S9 of the suite.")
 
 

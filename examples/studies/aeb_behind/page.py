@@ -246,14 +246,21 @@ In simulated emergencies, a car brakes to a stop, the car under test follows it,
 [Questions](../examples/studies/aeb_behind/questions.toml), rule, statistics and a new seed were committed before the
 second of two runs, [but after the first](#changes-after-the-first-run).
 
-Answers and conditions hold in both runs, whether cars observe through *sensors* and a filter or the *true state*
-(nearly the same results). A common answer holds in all COMBINATIONS combinations of three assumptions: after an impact,
-vehicles *hold* their brakes or *coast*; followers are `human`, `idm`, `acc-aeb` and `baseline` alike (*4 types*) or the
-first three (*3 types*), in questions 10 and 11 `human` only (FEW combinations); *no lorries* or *half lorries* are
-among them. Other answers name combinations whose intervals lie on one side of 0 (question 12: of +20 %). Elsewhere a
-change is not excluded. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of both runs,
-brackets the outermost ends of intervals, corrected for COMPARISONS comparisons, of EMERGENCIES emergencies.
-Combinations share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may change answers."""
+Answers hold in both runs, whether cars observe through *sensors* and a filter or the *true state* (nearly the same
+results). A common answer holds in all COMBINATIONS combinations of three assumptions:
+
+- After an impact, vehicles *hold* their brakes or *coast*.
+
+- Followers are `human`, `idm`, `acc-aeb` and `baseline` alike (*4 types*) or the first three (*3 types*); in questions
+10 and 11 `human` only (FEW combinations).
+
+- *No lorries* or *half lorries* are among them.
+
+Other answers name combinations whose intervals lie on one side of 0 (question 12: of +20 %). Elsewhere a change is not
+excluded. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of both runs; brackets have the
+outermost ends of their intervals, corrected for COMPARISONS comparisons, each of EMERGENCIES emergencies. Combinations
+share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may change answers.
+[Systems](#systems) defines the brakes."""
 
 
 def sizes(runs):

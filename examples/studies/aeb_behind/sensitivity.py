@@ -30,9 +30,9 @@ CHANGES = {
     "gaps behind: long setting": ("", "kalman", [gaps(2, "long")]),
     "gaps behind: manual driving": ("", "kalman", [gaps(2, "manual")]),
     "gaps ahead: manual driving": ("", "kalman", [gaps(1, "manual")]),
-    "leader brakes less (share 0.35)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
+    "leader's mean braking 35 %": ("", "kalman", [("mean = 0.5, deviation = 0.2",
                                                              "mean = 0.35, deviation = 0.2")]),
-    "leader brakes more (share 0.7)": ("", "kalman", [("mean = 0.5, deviation = 0.2",
+    "leader's mean braking 70 %": ("", "kalman", [("mean = 0.5, deviation = 0.2",
                                                             "mean = 0.7, deviation = 0.2")]),
     "wet road (mean friction 0.6)": ("", "kalman", [("mean = 1.0, deviation = 0.2", "mean = 0.6, deviation = 0.2")]),
     "sensors: latency 0.2 s, range 60 m": ("", "kalman", [

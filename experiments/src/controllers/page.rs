@@ -17,7 +17,8 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
          `car:...` are the emergency brakes of cars, which hold their speed until they brake; they are valid only in \
          the tests with which they were compared. `cruise:...` are cruise controls, fitted to recordings without \
          emergencies: their results in emergencies say nothing about the cars. `shield2:...` is made for the true \
-         state: with the errors of the filter, almost no state has a plan, and without a plan the shield brakes fully.",
+         state: with the errors of the filter, few states have a plan at the leader's limit, and others are \
+         not protected.",
     );
     page.paragraph(
         "The command, with the FOLDER that `examples/studies/openacc/fetch.py` fills: `cargo run --release -p \
@@ -77,10 +78,11 @@ fn describe_drives(drives: &ImportedDrives) -> String {
     let recorded = DriveComfort::of_recorded_cars(&drives.set);
     format!(
         "Unnecessary braking: number per hour in {} drives of {} recordings of OpenACC ({:.1} hours), and its 95 % \
-         interval, which is exact for independent events. Square brackets: the number in the same drives without any \
-         vehicle behind. The recorded cars: {}. Collisions: drives in which the vehicle hits its leader or the \
-         controller gives no answer / drives in which the follower hits the vehicle. This follower, `human`, starts at \
-         the gap of the recorded car; the collision may be due to it, and not to the controller.",
+         interval, which is exact for independent events. Square brackets: further braking, in drives that have none \
+         without their simulated vehicle behind; it blames no controller. The recorded cars: {}. Collisions: drives in \
+         which the vehicle hits its leader or the controller gives no answer / drives in which the follower hits the \
+         vehicle. This follower, `human`, starts at the gap of the recorded car; the collision may be due to it, and \
+         not to the controller.",
         drives.set.drives().len(),
         drives.recordings,
         recorded.hours,
@@ -106,10 +108,9 @@ fn cells(row: &ControllerRow) -> Vec<String> {
     match &row.drives {
         None => cells.extend(["not counted", "not counted"].map(str::to_owned)),
         Some(drives) => {
-            let alone = drives.alone_per_hour.map_or(String::new(), |[rate, ..]| {
-                format!(" [{}]", format_fixed(rate, 2))
-            });
-            cells.push(describe_rate(&drives.unnecessary_per_hour) + &alone);
+            let caused_behind = format_fixed(drives.caused_behind_per_hour, 2);
+            let rate = describe_rate(&drives.unnecessary_per_hour);
+            cells.push(format!("{rate} [{caused_behind}]"));
             cells.push(format!("{} / {}", drives.hits, drives.hit_from_behind));
         }
     }

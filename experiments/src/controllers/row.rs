@@ -87,10 +87,10 @@ pub(super) struct DriveScore {
     pub(super) hits: u64,
     /// Drives that the simulated human behind hits.
     pub(super) hit_from_behind: u64,
-    /// Unnecessary braking per hour, and the ends of its interval.
+    /// Unnecessary braking per hour that blames the controller, and the ends of its interval.
     pub(super) unnecessary_per_hour: [f64; 3],
-    /// Unnecessary braking per hour without any vehicle behind; absent if no drive has one.
-    pub(super) alone_per_hour: Option<[f64; 3]>,
+    /// Unnecessary braking per hour that only the vehicle behind causes.
+    pub(super) caused_behind_per_hour: f64,
 }
 
 impl ControllerRow {
@@ -259,12 +259,12 @@ impl DriveScore {
             .set
             .run(&RunOptions::new(controller.source.clone()), &Quiet)?;
         let report = DriveReport::new(&controller.name, &runs, &drives.set);
-        let alone = report.alone.as_ref();
+        let [caused_behind_per_hour, ..] = report.caused_by_vehicle_behind.per_hour_interval();
         Ok(Self {
             hits: report.hits_leader + report.no_answer,
             hit_from_behind: report.hit_from_behind,
             unnecessary_per_hour: report.comfort.unnecessary_braking.per_hour_interval(),
-            alone_per_hour: alone.map(|alone| alone.unnecessary_braking.per_hour_interval()),
+            caused_behind_per_hour,
         })
     }
 }

@@ -35,7 +35,8 @@ class Controller:
     forward collision. The test driver of suites brakes after such a warning. Excludes ``batch``.
 
     ``interval_s`` is the time between decisions (every step if None). ``identity`` names everything that determines
-    its commands, such as a version; without it a campaign cannot be resumed.
+    its commands, such as a version; without it a campaign cannot be resumed. A count of failures has a certificate only
+    if it is a SHA-256: 64 hexadecimal digits in lower case, such as those of the file that defines the controller.
 
     An exception is a failure of the controller: it ends the run, whose result contains the traceback.
     """

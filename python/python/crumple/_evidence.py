@@ -136,11 +136,11 @@ class _RateFunction:
         """Counts failures in random scenarios and certifies a bound of their rate, as ``crumple verify rate`` does.
 
         With ``against`` both controllers run the same scenarios, and the claim is that the first one fails less often.
-        A controller in Python needs an identity. If that is a SHA-256 in hexadecimal, such as that of its file, the
-        count has a certificate, which refers to it. ``folder`` is the run folder with registration, progress and
-        certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified rate in a space that was
-        fitted to recordings is also given per hour and per 1000 km, with the uncertainty of the data from ``resamples``
-        of the episodes (0, or 79 to 2000) with 500 more runs each.
+        A controller in Python needs an identity. The count has a certificate, which refers to the identity, only if
+        that is a SHA-256 in hexadecimal, such as that of the controller's file. ``folder`` is the run folder with
+        registration, progress and certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000. A certified
+        rate in a space that was fitted to recordings is also given per hour and per 1000 km, with the uncertainty of
+        the data from ``resamples`` of the episodes (0, or 79 to 2000) with 500 more runs each.
 
         ``executor`` distributes the runs over its workers, in at most ``tasks`` tasks (1 to 1000) of at least 2000
         runs; ``folder`` is used here only. The result has the same bits as without it. ``threads`` and ``executor`` are

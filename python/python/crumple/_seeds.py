@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
@@ -14,9 +15,14 @@ Result = TypeVar("Result")
 
 
 def read_seeds(seed: int | Iterable[int], most: int, error: type[CrumpleError]) -> list[int]:
-    """Returns the seeds of an argument that is one seed, or several."""
-    seeds = seed if isinstance(seed, Iterable) else [seed]
-    return [whole_number("seed", each, 0, most, error) for each in seeds]
+    """Returns the seeds of the argument ``seed``, which is one seed, or several different ones."""
+    items = seed if isinstance(seed, Iterable) else [seed]
+    seeds = [whole_number("seed", each, 0, most, error) for each in items]
+    # The work of a repeated seed would be done twice, in one folder.
+    repeated = next((each for each, count in Counter(seeds).items() if count > 1), None)
+    if repeated is not None:
+        raise error(f"seed: {repeated} occurs twice", field="seed")
+    return seeds
 
 
 def run_seeds(

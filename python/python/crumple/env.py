@@ -8,7 +8,6 @@ value of all further standstill.
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from typing import Any, ClassVar, TypeAlias
 
@@ -190,7 +189,8 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
         if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes):
             seeds = [None if one is None else _parse_seed(one) for one in seed]
             if len(seeds) != self.num_envs:
-                raise TrainingError(f"there are {self.num_envs} environments, and {len(seeds)} seeds")
+                problem = f"must have a seed for each of {self.num_envs} environments, found {len(seeds)}"
+                raise TrainingError(f"seed: {problem}", field="seed")
         elif seed is not None:
             seeds = [_parse_seed(seed, index) for index in range(self.num_envs)]
         unseeded = [index for index in np.flatnonzero(mask & ~self._is_seeded) if seeds[index] is None]
@@ -226,14 +226,8 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
 
 
 def _parse_seed(seed: object, offset: int = 0) -> int:
-    """Returns ``seed`` plus ``offset`` as a valid seed."""
-    try:
-        number = operator.index(seed) + offset  # type: ignore[arg-type]
-    except TypeError:
-        number = -1
-    if not 0 <= number < 2**64:
-        raise TrainingError(f"a seed is a whole number from 0 to 2**64 - 1, found {seed!r}")
-    return number
+    """Returns the argument ``seed`` plus ``offset``, which must be a valid seed, too."""
+    return whole_number("seed", seed, 0, 2**64 - 1 - offset, TrainingError) + offset
 
 
 def _make_episodes(

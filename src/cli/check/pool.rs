@@ -1,7 +1,6 @@
 //! `crumple check --pool`: one failure rate from the certificates of several seeds.
 
-use crumple_core::quoting::TerminalText;
-use crumple_evidence::{PoolCheck, PoolReport, rejected_pool_json};
+use crumple_evidence::{PoolCheck, PoolReport, RejectedPool};
 use crumple_verify::WorkLimit;
 
 use super::{Check, load_certificate};
@@ -31,14 +30,14 @@ impl Check {
             match pool.add(&load_certificate(path)?) {
                 Ok(()) => {}
                 Err(error) if error.is_refusal() => {
-                    return self.refuse(&format!("{}: {error}", path.display()));
+                    return self.refuse(format!("{}: {error}", path.display()));
                 }
                 Err(error) => return Err(CliError::at(path, error)),
             }
         }
         let mut report = match pool.conclude() {
             Ok(report) => report,
-            Err(rejection) => return self.refuse(&rejection.to_string()),
+            Err(rejection) => return self.refuse(rejection.to_string()),
         };
         if let (Some(percent), Some(rerun)) = (self.rerun, pool.rerun()) {
             report.counts = self.confirm(rerun, percent, global.quiet, CliError::input)?;
@@ -63,12 +62,14 @@ impl Check {
         CliError::verdict_first(verdict, printed)
     }
 
-    fn refuse(&self, rejection: &str) -> Result<(), CliError> {
+    fn refuse(&self, rejection: String) -> Result<(), CliError> {
+        let report = RejectedPool {
+            certificates: self.certificates.len(),
+            rejection,
+        };
         let text = match self.format {
-            OutputFormat::Json => {
-                rejected_pool_json(self.certificates.len(), rejection).map_err(CliError::input)?
-            }
-            OutputFormat::Text => format!("pool: rejected: {}\n", TerminalText(rejection)),
+            OutputFormat::Json => report.to_json().map_err(CliError::input)?,
+            OutputFormat::Text => report.to_text(),
         };
         self.print_verdict(&text, true)
     }

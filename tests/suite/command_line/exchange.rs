@@ -21,7 +21,7 @@ fn the_schema_of_maps_is_committed_and_accepts_the_examples() {
     }
 }
 
-fn logged_pair_csv(brake_mps2: f64) -> String {
+pub(super) fn logged_pair_csv(brake_mps2: f64) -> String {
     let mut text = "t;v_ego;range;closing\n".to_owned();
     for k in 0..150 {
         let lost_mps = brake_mps2 * (f64::from(k) * 0.1 - 5.0).clamp(0.0, 3.0);

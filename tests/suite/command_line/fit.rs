@@ -7,7 +7,7 @@ use super::*;
 use crumple_spaces::{DistributionSpec, ScenarioSpace, UniformSpec, file};
 
 /// Returns events of 10 s in which the leader brakes once; the parameters follow no known family of distributions.
-fn events_csv(count: u32) -> String {
+pub(super) fn events_csv(count: u32) -> String {
     let mut text =
         "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
     for event in 0..count {
@@ -167,6 +167,10 @@ fn unsuitable_data_are_refused() {
     assert_refused(
         &fit("enough.csv", "--vehicles 6"),
         "must be a whole number from 2 to 5",
+    );
+    assert_refused(
+        &fit("enough.csv", "--follower human"),
+        "--follower: needs --vehicles 3 or more",
     );
     assert_refused(&fit("enough.csv", "--min-brake -1"), "--min-brake");
     assert_refused(

@@ -7,6 +7,7 @@ mod exchange;
 pub(crate) mod falsify;
 mod fit;
 mod import_openscenario;
+mod library_results;
 mod new;
 mod output_folders;
 mod outputs;
@@ -353,6 +354,41 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     );
 }
 
+/// `predictive` brakes harder than its leader for the human behind, and without it not; `acc-aeb,ttc_s=8` always does.
+#[test]
+fn braking_that_only_the_vehicle_behind_causes_is_useful() {
+    let folder = temp_folder();
+    let vehicle = |position_m: u32, driver: &str| {
+        format!(
+            "[[vehicles]]\nclass = \"light\"\nposition_m = {position_m}\nspeed_mps = 20.0\n{driver}\n"
+        )
+    };
+    let leader = "driver.recorded = { time_s = [0.0, 10.0, 12.0, 60.0], speed_mps = [20.0, 20.0, 10.0, 10.0] }";
+    let scenario = "version = 1\nname = \"hard\"\nduration_s = 60.0\n".to_owned()
+        + &vehicle(64, leader)
+        + &vehicle(32, "driver = \"under-test\"")
+        + &vehicle(0, "driver = \"human\"");
+    fs::write(folder.path().join("hard.toml"), scenario).unwrap();
+    let simulate = |controller: &str, more: &str| {
+        let arguments = "simulate hard.toml --estimator truth --expect useful";
+        run_crumple(
+            folder.path(),
+            &format!("{arguments} --controller {controller} {more}"),
+        )
+    };
+    let cause = "; only with the vehicle behind: blames no controller\n";
+    for (controller, code) in [("predictive", 0), ("acc-aeb,ttc_s=8", 1)] {
+        let output = simulate(controller, "");
+        assert_prints(&output, code, &["vehicle 1 brakes unnecessarily for "]);
+        assert_eq!(stdout(&output).contains(cause), code == 0, "{controller}");
+        let report = json_objects(&simulate(controller, "--format json")).remove(0);
+        let is_caused = report.get("brakes_only_with_vehicle_behind");
+        assert_eq!(is_caused, (code == 0).then_some(&json!(true)));
+    }
+    let total = "  2 of 2  unnecessary braking, 2 of them only with the vehicle behind: blames no controller\n";
+    assert_prints(&simulate("predictive", "hard.toml"), 0, &[total]);
+}
+
 /// A folder is a table: one line for each scenario, and a total by kind of collision, in both formats.
 #[test]
 fn a_folder_has_a_line_for_each_scenario_and_a_total() {
@@ -403,7 +439,7 @@ fn a_folder_has_a_line_for_each_scenario_and_a_total() {
         "      1 of 5  no collision",
         "      2 of 5  COLLISION: the ego vehicle hits its leader",
         "      2 of 5  COLLISION: the ego vehicle is hit from behind",
-        "      2 of 5  unnecessary braking, 2 of them also with no vehicle behind",
+        "      2 of 5  unnecessary braking",
         "      4 of 5  VIOLATED: a specification",
         "      2 of 5  no vehicle behind: collisions from behind cannot happen",
     ];
@@ -419,7 +455,7 @@ fn a_folder_has_a_line_for_each_scenario_and_a_total() {
     );
     let expected = json!({
         "scenarios": 5, "no_collision": 1, "ego_hits_leader": 2, "ego_hit_from_behind": 2, "others_collide": 0,
-        "controller_failed": 0, "brakes_unnecessarily": 2, "brakes_unnecessarily_alone": 2, "fell_behind": 0,
+        "controller_failed": 0, "brakes_unnecessarily": 2, "fell_behind": 0,
         "violated": 4, "without_vehicle_behind": 2,
     });
     assert_eq!(reports[5]["total"], expected);
@@ -732,6 +768,16 @@ fn a_full_disk_under_standard_output_is_reported() {
             stderr(&output)
         );
     }
+}
+
+/// Builds between two releases have the version of the earlier one. A release build also states its commit.
+#[test]
+fn the_version_has_the_commit_of_a_release_build() {
+    let commit =
+        option_env!("CRUMPLE_COMMIT").map_or_else(String::new, |id| format!(", commit {id}"));
+    let output = run_ok(temp_folder().path(), "--version");
+    let expected = format!("crumple {}{commit}\n", env!("CARGO_PKG_VERSION"));
+    assert_eq!(stdout(&output), expected);
 }
 
 /// Starts a command once for each range and kills it after a random but reproducible number of milliseconds. Returns

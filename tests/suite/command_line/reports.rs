@@ -1,6 +1,7 @@
 //! `crumple assess` and `crumple import` on the command line.
 
 use crate::report::without_build_info;
+use crumple_controllers::find_for_user;
 use crumple_report::assessment::AssessConfig;
 
 use super::*;
@@ -315,4 +316,22 @@ fn an_own_controller_is_assessed_without_a_file() {
     assert_eq!(shown, default);
     let both = run_crumple(folder.path(), "assess aeb.toml --controller idm");
     assert_eq!(exit_code(&both), 2);
+    // `idm` is compared with another controller, also under the name of a file.
+    fs::write(
+        folder.path().join("mine.toml"),
+        "version = 1\nbuilt_in = \"idm\"\n",
+    )
+    .unwrap();
+    for (name, reference) in [
+        ("mine.toml", "baseline"),
+        ("idm", "baseline"),
+        ("aeb.toml", "idm"),
+    ] {
+        let own = find_for_user(name, folder.path()).expect("a controller");
+        assert_eq!(
+            AssessConfig::for_own_controller(&own).controllers,
+            [reference],
+            "{name}"
+        );
+    }
 }

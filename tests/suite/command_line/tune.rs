@@ -1,5 +1,6 @@
 //! `crumple tune`: report, resumption and errors.
 
+use super::drives::platoon_csv;
 use super::*;
 
 const TUNE_ARGS: &str = "tune --controller baseline --setting ttc_s=0..3 --space standing --space paper=0.5 \
@@ -60,6 +61,49 @@ fn a_tuning_reports_both_sides_and_is_read_again() {
         &format!("{TUNE_ARGS} --out tuned --resume --objective safety"),
     );
     assert_refused(&other, "the tuning there has a different configuration");
+}
+
+/// Recorded drives are a limit of tuning, training and retraining, and a resumed tuning needs the same ones.
+#[test]
+fn recorded_drives_are_usability_limits() {
+    let folder = temp_folder();
+    fs::write(folder.path().join("platoon.csv"), platoon_csv()).unwrap();
+    run_ok(folder.path(), "import platoon.csv --whole --out drives");
+    let tune = format!("{TUNE_ARGS} --drives drives --out tuned");
+    run_ok(folder.path(), &tune);
+    let report = read_json(&folder.path().join("tuned/report.json"));
+    let [initial, idm] = [0, 2].map(|row| &report["test"][row]["traffic"]["recorded"]);
+    assert_eq!(
+        *idm,
+        json!({"drive_count": 2, "faults": 0, "jerk_times_idm": 1.0})
+    );
+    assert_eq!(initial["drive_count"], 2);
+    let text = fs::read_to_string(folder.path().join("tuned/report.md")).unwrap();
+    assert_contains(
+        &text,
+        &[
+            "| faults in recorded drives | ",
+            "The 2 recorded drives count",
+        ],
+    );
+
+    for command in ["train --preset fast", "retrain"] {
+        let refused = run_crumple(folder.path(), &format!("{command} --drives drives"));
+        assert_refused(
+            &refused,
+            "--drives: needs evaluation.usefulness_draws of at least 1",
+        );
+    }
+    let missing = "train --preset road --drives missing --out missing-training";
+    assert_refused(
+        &run_crumple(folder.path(), missing),
+        "--drives: missing: is no folder",
+    );
+    fs::remove_file(folder.path().join("drives/openacc-platoon-drive-02.toml")).unwrap();
+    assert_refused(
+        &run_crumple(folder.path(), &format!("{tune} --resume")),
+        "the tuning there has a different configuration",
+    );
 }
 
 #[test]

@@ -29,6 +29,13 @@ pub struct ControllerFileDraft<'a> {
     pub drives_as_it_is: bool,
 }
 
+/// Scaling of an input, and the bounds of the scaled value.
+struct DraftedScaling {
+    offset: f64,
+    scale: f64,
+    bounds: [Option<f64>; 2],
+}
+
 impl ControllerFileDraft<'_> {
     /// Returns the text of the file.
     #[must_use]
@@ -74,19 +81,22 @@ impl ControllerFileDraft<'_> {
         let quantity = own
             .and_then(|own| own.quantity)
             .unwrap_or(DEFAULT_QUANTITIES[index % DEFAULT_QUANTITIES.len()]);
-        let mut offset = own.map_or(0.0, |own| own.offset);
-        let mut scale = own.map_or(1.0, |own| own.scale);
-        let space = self
-            .network
-            .saved_model()
-            .map(|saved| &saved.observation_space);
-        let [mut low, mut high] = space
-            .map(|space| finite_bounds(&space.low, &space.high, index))
-            .unwrap_or_default();
-        if let Some(statistics) = self.fitting_normalisation() {
-            (offset, scale) = (statistics.means[index], statistics.deviations[index]);
-            (low, high) = (Some(-statistics.limit), Some(statistics.limit));
-        }
+        let DraftedScaling {
+            offset,
+            scale,
+            bounds: [low, high],
+        } = match self.fitting_normalisation() {
+            Some(statistics) => DraftedScaling {
+                offset: statistics.means[index],
+                scale: statistics.deviations[index],
+                bounds: [Some(-statistics.limit), Some(statistics.limit)],
+            },
+            None => DraftedScaling {
+                offset: own.map_or(0.0, |own| own.offset),
+                scale: own.map_or(1.0, |own| own.scale),
+                bounds: self.observation_bounds(index),
+            },
+        };
         let name = quantity.name();
         let mut text = format!("\n[[inputs]]\nquantity = \"{name}\" # a guess\n");
         text += &format!("offset = {offset:?}\nscale = {scale:?}\n");
@@ -97,6 +107,15 @@ impl ControllerFileDraft<'_> {
             text += &format!("high = {high:?}\n");
         }
         text
+    }
+
+    /// Returns the finite bounds of an input, if a saved model states any.
+    fn observation_bounds(&self, index: usize) -> [Option<f64>; 2] {
+        self.network
+            .saved_model()
+            .map(|saved| &saved.observation_space)
+            .map(|space| finite_bounds(&space.low, &space.high, index))
+            .unwrap_or_default()
     }
 
     /// Returns the finite bounds of the first output, if any are stated.

@@ -170,8 +170,9 @@ impl<'a> FitReport<'a> {
         writeln!(
             out,
             "\np-values: the share of {samples} samples of the fitted distribution, fitted again, that are at least \
-             as far from their fit. They tend to be too large, because the same values chose the family. A Gaussian \
-             copula has no tail dependence."
+             as far from their fit. They tend to be too large, because the same values chose the family, and too small \
+             where a cluster has several episodes, which depend on each other. A Gaussian copula has no tail \
+             dependence."
         )
     }
 }

@@ -39,6 +39,16 @@ struct Shortfall {
     change: [f64; AXIS_COUNT],
 }
 
+impl Shortfall {
+    /// Less than every shortfall of a state.
+    const NONE: Self = Self {
+        missing_m: f64::NEG_INFINITY,
+        cell: [0; AXIS_COUNT],
+        order: 0,
+        change: [0.0; AXIS_COUNT],
+    };
+}
+
 pub(super) struct BoundarySearch<'a> {
     pub(super) claim: &'a InvariantClaim,
     /// Decides at each call.

@@ -3,7 +3,7 @@
 use crumple_verify::pool::FIXED_RANGE_ASSUMPTION;
 use serde::{Serialize, Serializer};
 
-use super::PoolReport;
+use super::{PoolReport, RejectedPool};
 use crate::CountsStatus;
 use crate::certificate_report::{RerunReport, describe_assumptions};
 
@@ -83,20 +83,19 @@ impl PoolReport {
     }
 }
 
-/// Returns the report on a rejected pool of so many certificates as one line of JSON.
-///
-/// # Errors
-/// None in practice; only the serializer can fail.
-pub fn rejected_pool_json(
-    certificates: usize,
-    rejection: &str,
-) -> Result<String, serde_json::Error> {
-    to_line(&PoolLine {
-        pool: certificates,
-        claim: "rate",
-        rejection: Some(rejection.to_owned()),
-        ..PoolLine::default()
-    })
+impl RejectedPool {
+    /// Returns the report as one line of JSON.
+    ///
+    /// # Errors
+    /// None in practice; only the serializer can fail.
+    pub fn to_json(&self) -> Result<String, serde_json::Error> {
+        to_line(&PoolLine {
+            pool: self.certificates,
+            claim: "rate",
+            rejection: Some(self.rejection.clone()),
+            ..PoolLine::default()
+        })
+    }
 }
 
 fn to_line(line: &PoolLine) -> Result<String, serde_json::Error> {

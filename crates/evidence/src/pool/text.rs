@@ -3,7 +3,7 @@
 use crumple_core::quoting::TerminalText;
 use crumple_verify::pool::UNSTATED_RANGE_CAVEAT;
 
-use super::PoolReport;
+use super::{PoolReport, RejectedPool};
 use crate::certificate_report::built_in_line;
 use crate::replay_report::plural;
 
@@ -45,5 +45,13 @@ impl PoolReport {
             claim.sha256
         );
         text
+    }
+}
+
+impl RejectedPool {
+    /// Returns the report for a reader, as a line.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        format!("pool: rejected: {}\n", TerminalText(&self.rejection))
     }
 }

@@ -61,7 +61,7 @@ pub fn known_constructs() -> Vec<KnownConstruct> {
     let conditions = CONDITIONS.iter().map(|row| KnownConstruct {
         element: row.element,
         clause: row.clause,
-        reason: None,
+        reason: row.reading.err(),
     });
     actions.chain(conditions).collect()
 }
@@ -104,8 +104,7 @@ use ActionReading::{Ignored, Read, Refused};
 
 const UNSEEN: &str = "has no influence on the motion";
 const STEERING: &str = "steers freely: vehicles follow lanes";
-const REACTS: &str =
-    "depends on the motion of another entity at each time: scripts depend only on the time";
+const REACTS: &str = "follows another entity, and the standard leaves its motion open";
 
 /// Private actions (7.4.1, Table 7) and global actions (7.4.2, Table 8).
 const ACTIONS: &[ActionRow] = &[
@@ -308,7 +307,8 @@ struct ConditionRow {
     element: &'static str,
     /// Section of the standard, or class of its reference.
     clause: &'static str,
-    reading: ReadCondition,
+    /// Function that reads the condition, or why it is refused.
+    reading: std::result::Result<ReadCondition, &'static str>,
 }
 
 const fn condition(
@@ -319,9 +319,24 @@ const fn condition(
     ConditionRow {
         element,
         clause,
-        reading,
+        reading: Ok(reading),
     }
 }
+
+const fn refused_condition(
+    element: &'static str,
+    clause: &'static str,
+    reason: &'static str,
+) -> ConditionRow {
+    ConditionRow {
+        element,
+        clause,
+        reading: Err(reason),
+    }
+}
+
+const TRAFFIC_LIGHTS: &str = "depends on traffic lights: a scenario has none";
+const HEADINGS: &str = "depends on headings: vehicles have that of their lane";
 
 /// Conditions on values and on entities (7.6.5).
 const CONDITIONS: &[ConditionRow] = &[
@@ -360,6 +375,29 @@ const CONDITIONS: &[ConditionRow] = &[
     condition("EndOfRoadCondition", "7.6.5.1", read_end_of_road),
     condition("CollisionCondition", "7.6.5.1", read_never),
     condition("OffroadCondition", "7.6.5.1", read_never),
+    refused_condition("AngleCondition", "7.6.5.1", HEADINGS),
+    refused_condition("RelativeAngleCondition", "7.6.5.1", HEADINGS),
+    refused_condition(
+        "RelativeClearanceCondition",
+        "7.6.5.1",
+        "depends on the free space in other lanes: a scenario has one lane",
+    ),
+    refused_condition("TrafficSignalCondition", "7.6.5.2", TRAFFIC_LIGHTS),
+    refused_condition(
+        "TrafficSignalControllerCondition",
+        "7.6.5.2",
+        TRAFFIC_LIGHTS,
+    ),
+    refused_condition(
+        "TimeOfDayCondition",
+        "7.6.5.2",
+        "depends on the time of day: a scenario has none",
+    ),
+    refused_condition(
+        "UserDefinedValueCondition",
+        "7.6.5.2",
+        "depends on a value from outside of the file",
+    ),
 ];
 
 /// Reads a condition on a value or on entities.
@@ -369,7 +407,8 @@ pub(super) fn find_condition<'a>(
 ) -> Result<ConditionKind<'a>> {
     let row = CONDITIONS.iter().find(|row| row.element == node.name());
     let row = row.ok_or_else(|| node.refuse("is not supported as a condition"))?;
-    (row.reading)(node, entities)
+    let read = row.reading.map_err(|reason| node.refuse(reason))?;
+    read(node, entities)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::error::ScenarioImportError;
 use super::limits::{
     MAX_ENVIRONMENTS, MAX_INITIAL_ACTIONS, WORK_PER_INITIAL_SPEED, WorkBudget, ensure_at_most,
 };
-use super::place::{PlacePurpose, resolve_place, stated_angle_rad};
+use super::place::{PlacePurpose, PlaceSources, resolve_place, stated_angle_rad};
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
 use super::storyboard::{SpeedAction, StoryAction, entity_index, read_speed};
@@ -115,7 +115,13 @@ pub(super) fn read_initial<'a>(
         }
     }
     let positions = actions.positions();
-    state.places = resolve_places(init, &positions, entities, roads)?;
+    let sources = PlaceSources {
+        entities,
+        roads,
+        files,
+        work,
+    };
+    state.places = resolve_places(init, &positions, &sources)?;
     state.turned_rad = turned_bodies(&positions, &state.places, entities, roads)?;
     if let Some(lane_place) = state.places.first() {
         let road = roads.find(init, Some(&lane_place.road), [0.0; 2])?;
@@ -362,9 +368,9 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
 fn resolve_places(
     init: Node<'_>,
     positions: &[Option<StartPosition<'_>>],
-    entities: &[Entity<'_>],
-    roads: &RoadMap<'_>,
+    sources: &PlaceSources<'_>,
 ) -> Result<Vec<LanePlace>> {
+    let entities = sources.entities;
     let mut places: Vec<Option<LanePlace>> = vec![None; positions.len()];
     for index in 0..positions.len() {
         // Entities of which each is placed relative to the next one.
@@ -382,7 +388,7 @@ fn resolve_places(
             })?;
             let purpose = position.purpose_for(entities.get(entity));
             let position = position.node;
-            match resolve_place(position, &places, entities, roads, purpose)? {
+            match resolve_place(position, &places, sources, purpose)? {
                 Some(lane_place) => {
                     drop(places.get_mut(entity).map(|slot| slot.replace(lane_place)))
                 }

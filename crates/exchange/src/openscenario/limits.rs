@@ -49,6 +49,8 @@ pub(super) const WORK_PER_ROAD: u64 = 150;
 pub(super) const WORK_PER_INITIAL_SPEED: u64 = 20;
 /// Work for each sample of a motion: to make, check, write and compare it.
 pub(super) const WORK_PER_SAMPLE: u64 = 1000;
+/// Work of finding an entry of a catalogue, with its parameters.
+pub(super) const WORK_PER_ENTRY: u64 = 100 * WORK_PER_SAMPLE;
 
 /// Refuses an element that contains more than `max_count` things, which `what` names.
 pub(super) fn ensure_at_most(

@@ -8,6 +8,7 @@
 //!
 //! Content that a scenario cannot represent is an error that names the element, its line and the reason.
 
+mod alternations;
 mod constructs;
 mod distribution;
 mod element;
@@ -32,6 +33,7 @@ mod replay_state;
 mod report;
 mod resolution;
 mod road;
+mod route;
 mod scopes;
 mod source;
 mod space;
@@ -193,11 +195,12 @@ impl OpenScenarioSource {
             entities: &entities,
             drivers: &drivers,
             roads: &roads,
+            files: &files,
             scopes: &scopes,
             work: &self.work,
             notes: road_note.into_iter().chain(omitted).collect(),
         };
-        let (replay, stop) = content.replay_all(initial, &files)?;
+        let (replay, stop) = content.replay_all(initial)?;
         let builder = LaneScenarioBuilder {
             storyboard,
             replay,
@@ -259,6 +262,7 @@ struct ReplayedContent<'a, 'b> {
     entities: &'b [Entity<'a>],
     drivers: &'b [Option<Driver>],
     roads: &'b RoadMap<'b>,
+    files: &'b SourceFiles<'b>,
     scopes: &'a StoryScopes,
     work: &'b WorkBudget,
     /// Notes about the road and omitted entities.
@@ -268,17 +272,13 @@ struct ReplayedContent<'a, 'b> {
 impl<'a, 'b> ReplayedContent<'a, 'b> {
     /// Replays the storyboard, and returns the replay and its end. A controller that is never activated drives from the
     /// start.
-    fn replay_all(
-        &self,
-        initial: InitialState<'a>,
-        files: &SourceFiles<'_>,
-    ) -> Result<(Replay<'a, 'b>, Firing)> {
+    fn replay_all(&self, initial: InitialState<'a>) -> Result<(Replay<'a, 'b>, Firing)> {
         let (replay, stop) = self.replay(initial, true)?;
         if !replay.motion.iter().any(EntityMotion::is_inactive) {
             return Ok((replay, stop));
         }
         let (node, entities) = (self.storyboard, self.entities);
-        let initial = initial::read_initial(node, entities, self.roads, files, self.work)?;
+        let initial = initial::read_initial(node, entities, self.roads, self.files, self.work)?;
         self.replay(initial, false)
     }
 
@@ -314,7 +314,13 @@ impl<'a, 'b> ReplayedContent<'a, 'b> {
             variables: StoryVariables::new(self.root, self.root.parameters)?,
             control,
         };
-        let mut replay = Replay::new(self.entities, start, self.roads, self.work, self.storyboard)?;
+        let mut replay = Replay::new(
+            self.entities,
+            start,
+            (self.roads, self.files),
+            self.work,
+            self.storyboard,
+        )?;
         let stop = replay.run(stories.conditions, self.storyboard)?;
         Ok((replay, stop))
     }

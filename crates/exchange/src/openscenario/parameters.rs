@@ -205,14 +205,18 @@ pub(super) fn read_assignment(node: Node<'_>) -> Result<(String, String), Scenar
     Ok((name.to_owned(), node.text("value")?))
 }
 
-/// Compares two values as numbers, or for equality as texts.
+/// Compares two values as numbers, or for equality as truth values or texts.
 pub(super) fn compare(value: &str, rule: Rule, limit: &str) -> Result<bool, String> {
     let numbers = value
         .trim()
         .parse::<f64>()
         .ok()
         .zip(limit.trim().parse::<f64>().ok());
-    let is_equal = numbers.map_or(value == limit, |(a, b)| a == b);
+    let is_equal = match (numbers, truth(value), truth(limit)) {
+        (Some((a, b)), ..) => a == b,
+        (None, Some(a), Some(b)) => a == b,
+        _ => value == limit,
+    };
     match (rule, numbers) {
         (Rule::EqualTo, _) => Ok(is_equal),
         (Rule::NotEqualTo, _) => Ok(!is_equal),
@@ -224,6 +228,15 @@ pub(super) fn compare(value: &str, rule: Rule, limit: &str) -> Result<bool, Stri
             "cannot compare `{value}` and `{limit}` by the rule `{}`",
             rule.name()
         )),
+    }
+}
+
+/// Returns the value of a text of the type `boolean`.
+fn truth(text: &str) -> Option<bool> {
+    match text.trim() {
+        "true" | "1" => Some(true),
+        "false" | "0" => Some(false),
+        _ => None,
     }
 }
 

@@ -5,10 +5,11 @@ use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::interpreter::ActionGoal;
 use super::lateral::{LateralExtent, LateralMove};
-use super::limits::{MAX_DURATION_S, WORK_PER_SAMPLE};
+use super::limits::{MAX_DURATION_S, WORK_PER_ENTRY, WORK_PER_SAMPLE};
 use super::place::{PlacePurpose, resolve_place};
 use super::replay::Replay;
 use super::road::LanePlace;
+use super::route::{LEADS_BACK, LEAVES_LANE, waypoints};
 use super::speed_plan::{TransitionDynamics, take_samples};
 use super::storyboard::{StoryAction, entity_index};
 use super::trigger::Firing;
@@ -130,7 +131,7 @@ pub(super) fn lane_number(node: Node<'_>, name: &str) -> Result<i32> {
 
 /// Reads a route or a destination: a vehicle that follows its lane needs none.
 pub(super) fn read_route<'a>(node: Node<'a>, _entities: &[Entity<'_>]) -> Result<StoryAction<'a>> {
-    node.only(&["Route", "Position"], &[])?;
+    node.only(&["Route", "CatalogReference", "Position"], &[])?;
     node.single()?;
     Ok(StoryAction::Route(node))
 }
@@ -244,28 +245,64 @@ impl<'a> Replay<'a, '_> {
         Ok(ActionGoal::LateralMove)
     }
 
-    /// Refuses a route with a waypoint in another lane.
+    /// Refuses a route that an entity cannot follow along its lane.
     pub(super) fn follow_route(&mut self, node: Node<'a>, actor: usize) -> Result<()> {
         let lane = self.lane(node, actor, self.now_s)?;
-        let places = self.places(self.now_s);
-        let route = node.optional("Route");
-        let waypoints = route.into_iter().flat_map(|route| route.named("Waypoint"));
-        let holders = waypoints.chain([node]);
-        for position in holders.filter_map(|holder| holder.optional("Position")) {
-            self.work.spend(node, WORK_PER_SAMPLE)?;
+        if let Some(reference) = node.optional("CatalogReference") {
+            self.work.spend(node, WORK_PER_ENTRY)?;
+            let files = self.files;
+            files.with_catalog_entry(reference, &["Route"], |route| {
+                self.check_route(route, actor, lane)
+            })?;
+        }
+        if let Some(route) = node.optional("Route") {
+            self.check_route(route, actor, lane)?;
+        }
+        if let Some(position) = node.optional("Position") {
             let position = position.single()?;
-            let purpose = PlacePurpose::Lane;
-            let lane_place = resolve_place(position, &places, self.entities, self.roads, purpose);
-            let stays = matches!(&lane_place, Ok(Some(LanePlace { road, lateral_m, .. }))
-                if *road == self.road_id && self.road.lane_at(*lateral_m) == Some(lane));
-            if !stays {
-                return Err(position.refuse("the route leaves the lane"));
+            let along_m = self.waypoint_m(position, &self.places(self.now_s), actor, lane)?;
+            if along_m < self.position_m(actor, self.now_s) {
+                return Err(position.refuse(LEADS_BACK));
             }
         }
         self.note_once(Some(
             node.note("has no influence: the route stays in the lane"),
         ));
         Ok(())
+    }
+
+    fn check_route(&self, route: Node<'_>, actor: usize, lane: i32) -> Result<()> {
+        let places = self.places(self.now_s);
+        let mut before_m = f64::NEG_INFINITY;
+        for position in waypoints(route)? {
+            let along_m = self.waypoint_m(position, &places, actor, lane)?;
+            if along_m < before_m {
+                return Err(position.refuse(LEADS_BACK));
+            }
+            before_m = along_m;
+        }
+        Ok(())
+    }
+
+    /// Returns the position of a waypoint in the direction of an entity. Refuses one outside of the lane.
+    fn waypoint_m(
+        &self,
+        position: Node<'_>,
+        places: &[Option<LanePlace>],
+        actor: usize,
+        lane: i32,
+    ) -> Result<f64> {
+        self.work.spend(position, WORK_PER_SAMPLE)?;
+        let sources = self.place_sources();
+        match resolve_place(position, places, &sources, PlacePurpose::Lane) {
+            Ok(Some(lane_place))
+                if lane_place.road == self.road_id
+                    && self.road.lane_at(lane_place.lateral_m) == Some(lane) =>
+            {
+                Ok(self.direction(actor) * lane_place.road_m)
+            }
+            _ => Err(position.refuse(LEAVES_LANE)),
+        }
     }
 
     /// Returns the lane in which the middle of an entity is.

@@ -2,8 +2,11 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::limits::WorkBudget;
 use super::path_actions::lane_number;
 use super::road::{LanePlace, RoadMap};
+use super::route::{ROUTE_POSITION, route_place};
+use super::source::SourceFiles;
 use super::storyboard::entity_index;
 use super::vocabulary::{last_element, path};
 use super::xml::Node;
@@ -28,20 +31,28 @@ pub(super) enum PlacePurpose {
     Vertex,
 }
 
+/// Roads, entities and files to which positions may refer.
+#[derive(Clone, Copy)]
+pub(super) struct PlaceSources<'a> {
+    pub(super) entities: &'a [Entity<'a>],
+    pub(super) roads: &'a RoadMap<'a>,
+    pub(super) files: &'a SourceFiles<'a>,
+    pub(super) work: &'a WorkBudget,
+}
+
 /// Returns the place of a position; `None` if it is relative to a position that is not resolved yet.
 pub(super) fn resolve_place(
     node: Node<'_>,
     resolved: &[Option<LanePlace>],
-    entities: &[Entity<'_>],
-    roads: &RoadMap<'_>,
+    sources: &PlaceSources<'_>,
     purpose: PlacePurpose,
 ) -> Result<Option<LanePlace>> {
     let Some(row) = POSITIONS.iter().find(|row| row.element == node.name()) else {
         return Err(node.refuse("is not supported as a position"));
     };
-    node.only(&["Orientation"], row.attributes)?;
+    node.only(row.children, row.attributes)?;
     let reference = if row.attributes.contains(&"entityRef") {
-        let index = entity_index(node, "entityRef", entities)?;
+        let index = entity_index(node, "entityRef", sources.entities)?;
         match resolved.get(index).and_then(Option::as_ref) {
             Some(reference) => Some(reference),
             None => return Ok(None),
@@ -50,7 +61,8 @@ pub(super) fn resolve_place(
         None
     };
     let context = PositionContext {
-        roads,
+        sources,
+        roads: sources.roads,
         reference,
         purpose,
     };
@@ -61,6 +73,7 @@ pub(super) fn resolve_place(
 
 /// Roads and entities to which a position may refer.
 struct PositionContext<'a, 'b> {
+    sources: &'a PlaceSources<'b>,
     roads: &'a RoadMap<'b>,
     /// Place of the entity to which the position is relative.
     reference: Option<&'a LanePlace>,
@@ -72,19 +85,25 @@ type ReadPosition = fn(Node<'_>, &PositionContext<'_, '_>) -> Result<LanePlace>;
 /// A kind of position that the importer knows.
 struct PositionRow {
     element: &'static str,
+    children: &'static [&'static str],
     attributes: &'static [&'static str],
     read: ReadPosition,
 }
+
+/// Children of most positions.
+const ORIENTED: &[&str] = &["Orientation"];
 
 /// Positions (6.3.8); those with `entityRef` are relative to an entity.
 const POSITIONS: &[PositionRow] = &[
     PositionRow {
         element: last_element(path::WORLD_POSITION),
+        children: ORIENTED,
         attributes: &["x", "y", "z", "h", "p", "r"],
         read: world_place,
     },
     PositionRow {
         element: "LanePosition",
+        children: ORIENTED,
         attributes: &["roadId", "laneId", "offset", "s"],
         read: |node, context| {
             let road = context
@@ -101,6 +120,7 @@ const POSITIONS: &[PositionRow] = &[
     },
     PositionRow {
         element: "RoadPosition",
+        children: ORIENTED,
         attributes: &["roadId", "s", "t"],
         read: |node, context| {
             let road = context
@@ -111,11 +131,13 @@ const POSITIONS: &[PositionRow] = &[
     },
     PositionRow {
         element: "RelativeLanePosition",
+        children: ORIENTED,
         attributes: &["entityRef", "dLane", "ds", "dsLane", "offset"],
         read: relative_lane_place,
     },
     PositionRow {
         element: "RelativeRoadPosition",
+        children: ORIENTED,
         attributes: &["entityRef", "ds", "dt"],
         read: |node, context| {
             relative_place(node, context, node.number("ds")?, node.number("dt")?, false)
@@ -123,10 +145,17 @@ const POSITIONS: &[PositionRow] = &[
     },
     PositionRow {
         element: "RelativeObjectPosition",
+        children: ORIENTED,
         attributes: &["entityRef", "dx", "dy", "dz"],
         read: |node, context| {
             relative_place(node, context, node.number("dx")?, node.number("dy")?, true)
         },
+    },
+    PositionRow {
+        element: ROUTE_POSITION,
+        children: &["RouteRef", "InRoutePosition", "Orientation"],
+        attributes: &[],
+        read: |node, context| route_place(node, context.sources),
     },
 ];
 

@@ -51,6 +51,21 @@ pub(super) enum QuantityKind {
     BeyondRoad,
 }
 
+impl QuantityKind {
+    /// Returns true if the quantity passes through all values between two. Accelerations jump, and times to a collision
+    /// jump to infinity and back.
+    fn is_continuous(self) -> bool {
+        !matches!(
+            self,
+            Self::Acceleration
+                | Self::AccelerationAmount
+                | Self::TimeToCollision
+                | Self::AtRest
+                | Self::BeyondRoad
+        )
+    }
+}
+
 /// A quantity of an entity, which may be relative to another entity or to a position.
 #[derive(Debug, Clone)]
 pub(super) struct Quantity<'a> {
@@ -73,6 +88,8 @@ pub(super) struct EntityCondition<'a> {
     pub(super) threshold: ConditionThreshold,
     /// The position, if it depends on no entity.
     pub(super) fixed_place: Option<LanePlace>,
+    /// Values at the evaluation before, of entities whose quantity may pass through a threshold.
+    pub(super) values_before: Vec<f64>,
 }
 
 impl<'a> Quantity<'a> {
@@ -102,6 +119,7 @@ impl<'a> Quantity<'a> {
             quantity: self,
             threshold,
             fixed_place: None,
+            values_before: Vec::new(),
         })
     }
 }
@@ -254,6 +272,21 @@ pub(super) fn read_distance<'a>(
 }
 
 impl EntityCondition<'_> {
+    /// Returns the time in the last step at which the value of the entity at an index passed through the threshold of
+    /// `equalTo`, and keeps the value.
+    pub(super) fn passed_s(&mut self, index: usize, value: f64, now_s: f64) -> Option<f64> {
+        if !self.quantity.kind.is_continuous() {
+            return None;
+        }
+        let Some(before) = self.values_before.get_mut(index) else {
+            self.values_before.push(value);
+            return None;
+        };
+        let before = std::mem::replace(before, value);
+        let share = self.threshold.passing_share(before, value)?;
+        Some(now_s - (1.0 - share) * REPLAY_STEP_S)
+    }
+
     /// Returns the quantity of an entity at a time. Positions relative to an entity move with it.
     pub(super) fn value(
         &mut self,
@@ -295,7 +328,7 @@ fn resolve_once(
     }
     let places = replay.places(now_s);
     let purpose = PlacePurpose::Lane;
-    let lane_place = resolve_place(position, &places, replay.entities, replay.roads, purpose)?;
+    let lane_place = resolve_place(position, &places, &replay.place_sources(), purpose)?;
     let lane_place = lane_place.ok_or_else(|| position.refuse("is not supported here"))?;
     if position.raw("entityRef").is_none() {
         *fixed_place = Some(lane_place.clone());

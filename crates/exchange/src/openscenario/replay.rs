@@ -12,6 +12,7 @@ use super::interpreter::ActiveAction;
 use super::lateral::LateralPlan;
 use super::limits::{MAX_SAMPLES, WORK_PER_SAMPLE, WorkBudget};
 use super::road::{LanePlace, RoadMap, StraightRoad};
+use super::source::SourceFiles;
 use super::speed_plan::{SpeedPlan, TransitionDynamics, take_samples};
 use super::storyboard::{SpeedAction, StoryAction};
 use super::trajectory::PathVertex;
@@ -152,6 +153,7 @@ pub(super) struct Replay<'a, 'b> {
     /// Entities that follow another one.
     followings: Vec<Following<'a>>,
     pub(super) roads: &'b RoadMap<'b>,
+    pub(super) files: &'b SourceFiles<'b>,
     pub(super) road: Rc<StraightRoad>,
     pub(super) road_id: String,
     pub(super) friction: f64,
@@ -208,7 +210,7 @@ impl<'a, 'b> Replay<'a, 'b> {
     pub(super) fn new(
         entities: &'b [Entity<'a>],
         start: ReplayStart<'a>,
-        roads: &'b RoadMap<'b>,
+        (roads, files): (&'b RoadMap<'b>, &'b SourceFiles<'b>),
         work: &'b WorkBudget,
         storyboard: Node<'a>,
     ) -> Result<Self> {
@@ -228,6 +230,7 @@ impl<'a, 'b> Replay<'a, 'b> {
             initial_controls: Vec::new(),
             followings: Vec::new(),
             roads,
+            files,
             road: roads.find(storyboard, Some(&road_id), [0.0; 2])?,
             road_id,
             friction: initial.friction,

@@ -1,5 +1,6 @@
 //! State of the replay that conditions read, and the scripts that follow from it.
 
+use super::place::PlaceSources;
 use super::replay::{EntityMotion, Replay};
 use super::road::LanePlace;
 use crumple_sim::scenario::{Brake, BrakeToSpeed, LeadProfile, RecordedSpeeds};
@@ -64,6 +65,16 @@ impl Replay<'_, '_> {
                 })
             })
             .collect()
+    }
+
+    /// Returns what positions may refer to.
+    pub(super) fn place_sources(&self) -> PlaceSources<'_> {
+        PlaceSources {
+            entities: self.entities,
+            roads: self.roads,
+            files: self.files,
+            work: self.work,
+        }
     }
 
     /// Returns true if the reference point is beyond an end of the road.

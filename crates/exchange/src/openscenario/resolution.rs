@@ -10,8 +10,10 @@ const ON_GRID: f64 = 0.05;
 const MAX_OFF_GRID_M: f64 = 5e-4;
 /// Number of positions from which the offset of a grid is taken.
 const OFFSET_POSITIONS: usize = 64;
-/// Share of the positions that must be on a grid. The first vertex may be that of another source.
-const LEAST_ON_GRID: f64 = 0.9;
+/// Positions that may be on no grid: one in ten, but at most one, such as the first vertex, and one in a hundred. More
+/// of them show that the others are round values.
+const EXCEPTION_OF: usize = 10;
+const FURTHER_EXCEPTION_OF: usize = 100;
 /// Number of movements from which on they show a grid. By chance, one in ten is on a given grid.
 const LEAST_MOVEMENTS: usize = 4;
 /// Coarsest and finest step, in metres.
@@ -34,40 +36,62 @@ pub(super) fn grid_step_m(positions_m: &[f64]) -> f64 {
 const MAX_RECORDING_STEP_S: f64 = 0.2;
 /// Largest distance of a rounded time from a line, in steps.
 const MAX_OFF_LINE: f64 = 0.6;
+/// Largest share of vertices that are missing.
+const MAX_MISSING: f64 = 0.05;
 
-/// Returns the times of vertices at a constant rate, if the times are these but for rounding to a step. The first and
-/// the last time stay.
+/// Returns the times of vertices at a constant rate, of which few may be missing, if the times are these but for
+/// rounding to a step. The first and the last time stay.
 pub(super) fn regular_times_s(times_s: &[f64]) -> Option<Vec<f64>> {
     let [first_s, .., last_s] = times_s else {
         return None;
     };
-    let count = times_s.len() as f64;
-    let interval_s = (last_s - first_s) / (count - 1.0);
+    let indices = regular_indices(times_s)?;
+    let interval_s = (last_s - first_s) / indices.last()?;
     let step_s = grid_step_m(times_s);
     if interval_s > MAX_RECORDING_STEP_S || step_s == 0.0 {
         return None;
     }
-    let indices = (0..times_s.len()).map(|index| index as f64);
-    let regular_s = indices.clone().map(|index| first_s + index * interval_s);
+    let regular_s = indices.iter().map(|index| first_s + index * interval_s);
+    let regular_s: Vec<f64> = regular_s.collect();
     let off_s: Vec<f64> = regular_s
-        .clone()
+        .iter()
         .zip(times_s)
         .map(|(s, time_s)| time_s - s)
         .collect();
-    // The line through all times (least squares), because the first and the last one are rounded, too.
-    let middle = 0.5 * (count - 1.0);
-    let mean_s = off_s.iter().sum::<f64>() / count;
-    let centred = indices.clone().map(|index| index - middle);
-    let products: f64 = centred
+    are_on_line(&indices, &off_s, MAX_OFF_LINE * step_s).then_some(regular_s)
+}
+
+/// Returns the numbers of vertices at a constant rate; `None` if too many are missing.
+fn regular_indices(times_s: &[f64]) -> Option<Vec<f64>> {
+    let pairs = times_s.iter().zip(times_s.iter().skip(1));
+    let intervals_s: Vec<f64> = pairs.map(|(from_s, to_s)| to_s - from_s).collect();
+    let mut sorted_s = intervals_s.clone();
+    sorted_s.sort_by(f64::total_cmp);
+    let median_s = sorted_s.get(sorted_s.len() / 2)?;
+    let mut indices = vec![0.0];
+    let mut index = 0.0;
+    for interval_s in intervals_s {
+        index += (interval_s / median_s).round().max(1.0);
+        indices.push(index);
+    }
+    let missing = index + 1.0 - times_s.len() as f64;
+    (missing <= MAX_MISSING * times_s.len() as f64).then_some(indices)
+}
+
+/// Returns true if values are near the line through all of them (least squares). The first and the last one are
+/// rounded, too.
+fn are_on_line(indices: &[f64], values: &[f64], distance: f64) -> bool {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let [middle, mean_value] = [mean(indices), mean(values)];
+    let centred = indices.iter().map(|index| index - middle);
+    let products = centred
         .clone()
-        .zip(&off_s)
-        .map(|(index, s)| index * s)
-        .sum();
+        .zip(values)
+        .map(|(index, value)| index * value);
+    let products: f64 = products.sum();
     let squares: f64 = centred.clone().map(|index| index * index).sum();
-    let are_near = centred
-        .zip(&off_s)
-        .all(|(index, s)| (s - mean_s - index * products / squares).abs() <= MAX_OFF_LINE * step_s);
-    are_near.then(|| regular_s.collect())
+    let mut pairs = centred.zip(values);
+    pairs.all(|(index, value)| (value - mean_value - index * products / squares).abs() <= distance)
 }
 
 /// Returns the steps of grids, coarse to fine.
@@ -121,7 +145,7 @@ fn have_common_offset(positions_m: &[f64], step_m: f64) -> bool {
 
 /// Returns how many of `count` positions or movements may be none of a grid.
 fn exceptions(count: usize) -> usize {
-    ((1.0 - LEAST_ON_GRID) * count as f64) as usize
+    (count / EXCEPTION_OF).min(1 + count / FURTHER_EXCEPTION_OF)
 }
 
 /// Returns true if increments are different multiples of a step, with 0: at constant speed, rounding makes two.
@@ -214,11 +238,21 @@ mod tests {
                 assert!(off_s.abs() <= 0.5 * step_s + 1e-9, "{rate_hz}: {off_s}");
             }
         }
-        // Regular without rounding, a missing vertex, and times that are planned.
+        // Missing vertices.
+        for (rate_hz, step_s) in [(30.0, 0.001), (29.97, 0.001), (30.0, 0.01), (60.0, 0.01)] {
+            let [mut gaps_s, mut exact_s] = [rounded_s(rate_hz, step_s), rounded_s(rate_hz, 1e-9)];
+            for index in [171, 70, 69] {
+                gaps_s.remove(index);
+                exact_s.remove(index);
+            }
+            let regular_s = regular_times_s(&gaps_s).unwrap();
+            for (time_s, exact_s) in regular_s.iter().zip(exact_s) {
+                let off_s = time_s - exact_s;
+                assert!(off_s.abs() <= 0.5 * step_s + 1e-8, "{rate_hz}: {off_s}");
+            }
+        }
+        // Regular without rounding, and times that are planned.
         assert_eq!(regular_times_s(&rounded_s(25.0, 0.001)), None);
-        let mut gap_s = rounded_s(30.0, 0.001);
-        gap_s.remove(70);
-        assert_eq!(regular_times_s(&gap_s), None);
         assert_eq!(regular_times_s(&[0.0, 1.0, 2.0, 3.1, 4.0, 5.0]), None);
         assert_eq!(regular_times_s(&[0.0, 0.1, 0.2, 0.35, 0.4, 0.5]), None);
         assert_eq!(regular_times_s(&[]), None);

@@ -241,6 +241,7 @@ fn files_for_clauses_are_refused_for_the_right_reason() {
             "trajectory-catalogue",
             "trajectories of catalogues are not supported",
         ),
+        ("route-leaves", "the route leaves the lane"),
         (
             "collision-with-position",
             "is not supported as a target, only EntityRef",
@@ -258,6 +259,143 @@ fn files_for_clauses_are_refused_for_the_right_reason() {
             ".xosc:"
         };
         assert!(error.contains(file), "{error}");
+    }
+}
+
+/// A route of a catalogue that stays in the lane has no influence.
+#[test]
+fn a_route_of_a_catalogue_that_stays_in_the_lane_is_a_note() {
+    let (scenario, notes) = import_case("clauses/route-stays.xosc").unwrap();
+    assert_speeds(
+        "route-stays",
+        &of_length(&scenario, 4.2),
+        &brakes_at(2.0),
+        0.005,
+    );
+    let note = "AssignRouteAction: has no influence: the route stays in the lane";
+    assert!(notes.iter().any(|text| text.contains(note)), "{notes:?}");
+}
+
+fn place_m(road: u32, s_m: f64) -> String {
+    format!(r#"<LanePosition roadId="{road}" laneId="-1" s="{s_m}"/>"#)
+}
+
+fn assign_route(closed: bool, positions: [String; 2]) -> String {
+    let waypoints = positions.map(|position| {
+        format!(r#"<Waypoint routeStrategy="shortest"><Position>{position}</Position></Waypoint>"#)
+    });
+    let waypoints = waypoints.concat();
+    format!(
+        r#"<AssignRouteAction><Route name="r" closed="{closed}">{waypoints}</Route></AssignRouteAction>"#
+    )
+}
+
+fn acquire(position: &str) -> String {
+    format!("<AcquirePositionAction><Position>{position}</Position></AcquirePositionAction>")
+}
+
+/// A vehicle that follows its lane never comes back to the start of a closed route, or to a place behind it.
+#[test]
+fn routes_that_lead_back_or_to_another_road_are_refused() {
+    let routing = |action: String| {
+        let action = format!("<RoutingAction>{action}</RoutingAction>");
+        import(&two_events("parallel", &action, &after(3.0)))
+    };
+    let [near, far] = [place_m(7, 200.0), place_m(7, 300.0)];
+    let ahead = [near.clone(), far.clone()];
+    for action in [assign_route(false, ahead.clone()), acquire(&far)] {
+        let (_, notes) = routing(action).unwrap();
+        assert!(notes.iter().any(|note| note.contains("stays in the lane")));
+    }
+    let other_road = assign_route(false, [near.clone(), place_m(8, 300.0)]);
+    for (action, reason) in [
+        (assign_route(false, [far, near]), "leads back"),
+        (acquire(&place_m(7, 100.0)), "leads back"),
+        (assign_route(true, ahead), "is closed"),
+        (other_road, "leads from the road `7` to the road `8`"),
+    ] {
+        let error = routing(action).expect_err(reason);
+        assert!(error.contains(reason), "{reason}: {error}");
+    }
+}
+
+/// Returns a file in which `other` starts at a position on a route from 120 m to 500 m.
+fn on_route(inside: &str) -> String {
+    let position = format!(
+        r#"<RoutePosition><RouteRef><Route name="r" closed="false">
+<Waypoint routeStrategy="shortest"><Position><LanePosition roadId="7" laneId="-1" s="120"/></Position></Waypoint>
+<Waypoint routeStrategy="shortest"><Position><LanePosition roadId="7" laneId="-1" s="500"/></Position></Waypoint>
+</Route></RouteRef><InRoutePosition>{inside}</InRoutePosition></RoutePosition>"#
+    );
+    let brake = speed_action("linear", "rate", "2", 4.0);
+    file(&position, &brake, TIME)
+}
+
+/// Class `RoutePosition`: `pathS` counts from the start of the route.
+#[test]
+fn positions_on_a_route_count_from_its_start() {
+    for inside in [
+        r#"<FromLaneCoordinates pathS="20" laneId="-1"/>"#,
+        r#"<FromRoadCoordinates pathS="20" t="-1.75"/>"#,
+    ] {
+        let (scenario, _) = import(&on_route(inside)).unwrap();
+        // As at 140 m: the front is 4 m ahead.
+        assert_eq!(scripted(&scenario)[0].position_m, 154.0, "{inside}");
+    }
+    let text = on_route(r#"<FromLaneCoordinates pathS="20" laneId="-1"/>"#);
+    for (old, new, reason) in [
+        (
+            r#"pathS="20""#,
+            r#"pathS="380.5""#,
+            "is beyond the end of the route",
+        ),
+        (
+            r#"laneId="-1" s="500""#,
+            r#"laneId="-2" s="500""#,
+            "the route leaves the lane",
+        ),
+        (r#"s="500""#, r#"s="100""#, "the route leads back"),
+        (
+            r#"roadId="7" laneId="-1" s="500""#,
+            r#"roadId="9" laneId="-1" s="500""#,
+            "the route leads from the road `7` to the road `9`: vehicles stay on one road",
+        ),
+    ] {
+        let changed = text.replace(old, new);
+        assert_ne!(changed, text, "{old}");
+        let error = import(&changed).expect_err(reason);
+        assert!(error.contains(reason), "{reason}: {error}");
+    }
+}
+
+/// A speed or a time that passes through a value between two steps has this value once, whatever the rate.
+#[test]
+fn equal_to_is_true_where_a_quantity_passes_through_the_value() {
+    for rate in ["2", "3", "1.7", "2.3"] {
+        let passes_s = 2.0 + 5.0 / rate.parse::<f64>().unwrap();
+        let at_speed =
+            r#"<EntityCondition><SpeedCondition rule="equalTo" value="15"/></EntityCondition>"#;
+        let at_speed = format!(
+            r#"<ByEntityCondition><TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="other"/>
+</TriggeringEntities>{at_speed}</ByEntityCondition>"#
+        );
+        let at_time = format!(
+            r#"<ByValueCondition><SimulationTimeCondition rule="equalTo" value="{passes_s}"/></ByValueCondition>"#
+        );
+        for condition in [at_speed, at_time] {
+            let faster = speed_action("linear", "rate", "1", 20.0);
+            let text = two_events("override", &faster, &after(0.0))
+                .replace(
+                    &format!("<ByValueCondition>{}</ByValueCondition>", after(0.0)),
+                    &condition,
+                )
+                .replace(
+                    "dynamicsDimension=\"rate\"\nvalue=\"2\"",
+                    &format!("dynamicsDimension=\"rate\"\nvalue=\"{rate}\""),
+                );
+            let mps = speed_mps(&text, passes_s + 2.0);
+            assert!((mps - 17.0).abs() < 1e-3, "{rate}, {condition}: {mps}");
+        }
     }
 }
 
@@ -611,6 +749,22 @@ fn variables_can_change_and_start_events() {
     );
     // The variable is 3 when the braking begins at 2 s, which the lane change ends at once.
     assert_eq!(speed_mps(&text, 10.0), 20.0);
+    // A truth value has two texts.
+    let truth = text
+        .replace(
+            "variableType=\"double\" value=\"1\"",
+            "variableType=\"boolean\" value=\"false\"",
+        )
+        .replace(
+            "rule=\"greaterOrEqual\" value=\"3\"",
+            "rule=\"equalTo\" value=\"true\"",
+        )
+        .replace(
+            "<ModifyAction><Rule><AddValue value=\"2\"/></Rule></ModifyAction>",
+            "<SetAction value=\"1\"/>",
+        );
+    assert!(truth.contains("SetAction"));
+    assert_eq!(speed_mps(&truth, 10.0), 20.0);
 }
 
 /// 8.4.2.2: each step in which the trigger is true counts as one execution.
@@ -672,6 +826,10 @@ fn with_initial_trajectory(text: &str, vertices: &[(f64, f64, f64)], timing: &st
             )
         })
         .collect();
+    with_initial_polyline(text, &vertices, timing)
+}
+
+fn with_initial_polyline(text: &str, vertices: &str, timing: &str) -> String {
     let trajectory = format!(
         r#"<RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false"><Shape><Polyline>
 {vertices}</Polyline></Shape></Trajectory></TrajectoryRef><TimeReference>{timing}</TimeReference>
@@ -684,6 +842,54 @@ fn with_initial_trajectory(text: &str, vertices: &[(f64, f64, f64)], timing: &st
     let changed = text.replace(&position, &trajectory);
     assert_ne!(changed, text);
     changed
+}
+
+/// Rounding of a vehicle that creeps does not lead it across the lanes, or back, whatever the direction of its road.
+#[test]
+fn rounded_positions_of_a_vehicle_that_stops_stay_along_the_lane() {
+    let timing = r#"<Timing domainAbsoluteRelative="absolute" scale="1" offset="0"/>"#;
+    let event = two_events("parallel", &lane_change("-2"), &after(100.0))
+        .replace(
+            "SimulationTimeCondition value=\"2\"",
+            "SimulationTimeCondition value=\"100\"",
+        )
+        .replace(
+            "<WorldPosition x=\"110\" y=\"-1.75\"/>",
+            "<LanePosition roadId=\"7\" laneId=\"-1\" s=\"100\"/>",
+        );
+    for heading_rad in [0.4_f64, 1.0, -2.0] {
+        let [cosine, sine] = [heading_rad.cos(), heading_rad.sin()];
+        for (decimals, rate_hz) in [(1, 50.0), (2, 25.0), (2, 100.0)] {
+            let vertex = |sample: u32| {
+                let time_s = f64::from(sample) / rate_hz;
+                let braked_s = (time_s - 2.0).clamp(0.0, 4.0);
+                let along_m = 140.0 + 20.0 * time_s.min(6.0) - 2.5 * braked_s * braked_s;
+                let [x_m, y_m] = [
+                    10.0 + along_m * cosine + 1.75 * sine,
+                    along_m * sine - 1.75 * cosine,
+                ];
+                format!(
+                    r#"<Vertex time="{time_s}"><Position>
+<WorldPosition x="{x_m:.decimals$}" y="{y_m:.decimals$}" h="{heading_rad}"/></Position></Vertex>"#
+                )
+            };
+            let vertices: String = (0..(8.0 * rate_hz) as u32).map(vertex).collect();
+            let text = with_initial_polyline(&event, &vertices, timing);
+            let road = ROAD.replace("hdg=\"0\"", &format!("hdg=\"{heading_rad}\""));
+            let source = OpenScenarioSource::from_bytes(text.as_bytes(), road.as_bytes()).unwrap();
+            let imported = source.scenario(None, &[]);
+            let case = format!("{heading_rad}, {decimals} decimals, {rate_hz} Hz");
+            let imported = imported.unwrap_or_else(|error| panic!("{case}: {error}"));
+            let vehicle = scripted(&imported.scenario)[0].clone();
+            let speeds_mps = [1.0, 4.0, 7.9].map(|time_s| scripted_mps(&vehicle, time_s));
+            for (found_mps, expected_mps) in speeds_mps.into_iter().zip([20.0, 10.0, 0.0]) {
+                assert!(
+                    (found_mps - expected_mps).abs() < 0.5,
+                    "{case}: {speeds_mps:?}"
+                );
+            }
+        }
+    }
 }
 
 /// A trajectory without times leads the vehicle aside at its own speed, here braking from 2 s on.

@@ -144,7 +144,11 @@ pub(super) fn entity_index(
 ) -> Result<usize> {
     let name = node.text(attribute)?;
     let index = entities.iter().position(|entity| entity.name == name);
-    index.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
+    index.ok_or_else(|| {
+        node.refuse(format!(
+            "there is no entity `{name}`, and selections of entities are not supported"
+        ))
+    })
 }
 
 /// Reads the elements of all stories with their triggers.

@@ -218,7 +218,7 @@ fn content_that_one_lane_cannot_represent_is_refused_by_name() {
         (
             "SimulationTimeCondition",
             "TimeOfDayCondition",
-            "TimeOfDayCondition: is not supported",
+            "TimeOfDayCondition: depends on the time of day",
         ),
         (
             "revMajor=\"1\"",

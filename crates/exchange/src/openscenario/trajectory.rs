@@ -4,7 +4,8 @@
 //! first, and the speeds of a recording are averaged. A speed that changes little from segment to segment is read as
 //! smooth; it never leaves the range of the mean speeds of the segments around it.
 
-use super::recorded::{Averaging, averaging_window_s, recorded_path};
+use super::alternations::Alternations;
+use super::recorded::{Averaging, averaging_window_s, recorded_path, with_missing_vertices};
 use super::speed_plan::SpeedPlan;
 use super::taut_path::{Point, slope, taut_path};
 
@@ -14,13 +15,20 @@ const SMOOTHING_M: f64 = 0.005;
 /// recording.
 const MAX_ROUNDING_M: f64 = 0.00708;
 const MAX_RECORDED_ROUNDING_M: f64 = 0.0708;
-/// Longest mean time between the vertices of a recording, in seconds.
+/// Rounding error of positions on a coarse grid without alternating accelerations, in metres: the grid is that of round
+/// values.
+const ROUND_VALUES_M: f64 = 0.0005;
+/// Share of the times between vertices that are not longer than a step.
+const USUAL_STEPS: f64 = 0.9;
+/// Longest time between the vertices of a recording, in seconds.
 const RECORDING_STEP_S: f64 = 0.2;
 /// Smallest rounding error, in metres: that of calculations with positions.
 const MIN_ROUNDING_M: f64 = 1e-7;
 /// Speeds that differ by less are equal, in m/s; positions in metres.
 const EQUAL_MPS: f64 = 1e-9;
 const EQUAL_M: f64 = 1e-9;
+/// Errors of the calculation of a mean time between vertices, as a share.
+pub(super) const EQUAL_SHARE: f64 = 1e-6;
 /// Segments that are shorter are none, in seconds.
 const MIN_SPAN_S: f64 = 1e-9;
 /// Error of the distance to a vertex where a vehicle joins the polyline, in metres.
@@ -91,43 +99,34 @@ impl SpeedSegment {
 }
 
 /// Returns the rounding error of positions on a grid of `resolution_m`, as far as it is removed. A coarse grid is that
-/// of a recording only if the rounding makes the speed change more often from acceleration to braking.
+/// of the rounding only in a recording with accelerations that alternate, and if the rounding explains them.
 pub(super) fn rounding_m(vertices: &[PathVertex], resolution_m: f64) -> f64 {
     let rounding_m = 0.5 * resolution_m;
     if rounding_m <= MAX_ROUNDING_M {
         return rounding_m.max(MIN_ROUNDING_M);
     }
-    let is_frequent = mean_step_s(vertices).is_some_and(|step_s| step_s <= RECORDING_STEP_S);
-    let is_recording = is_frequent && rounding_m <= MAX_RECORDED_ROUNDING_M;
-    let turns = |tube_m: f64| speed_turns(&taut_path(vertices, tube_m));
-    if is_recording && turns(rounding_m) < turns(MIN_ROUNDING_M) {
+    let step_s = usual_step_s(vertices).map(|step_s| step_s * (1.0 - EQUAL_SHARE));
+    let is_frequent = step_s.is_some_and(|step_s| step_s <= RECORDING_STEP_S);
+    if !is_frequent || rounding_m > MAX_RECORDED_ROUNDING_M {
+        return MIN_ROUNDING_M;
+    }
+    let alternations = Alternations::from_vertices(vertices);
+    if !alternations.are_found() {
+        ROUND_VALUES_M
+    } else if alternations.are_explained(rounding_m) {
         rounding_m
     } else {
         MIN_ROUNDING_M
     }
 }
 
-/// Returns the mean time between vertices; `None` if there are less than two.
-pub(super) fn mean_step_s(vertices: &[PathVertex]) -> Option<f64> {
-    let [start, .., end] = vertices else {
-        return None;
-    };
-    Some((end.time_s - start.time_s) / (vertices.len() - 1) as f64)
-}
-
-/// Returns how often a path changes between acceleration and braking.
-fn speed_turns(path: &[Point]) -> usize {
-    let pairs = path.iter().zip(path.iter().skip(1));
-    let speeds: Vec<f64> = pairs.map(|(from, to)| slope(*from, *to)).collect();
-    let changes = speeds.iter().zip(speeds.iter().skip(1));
-    let changes = changes.map(|(before_mps, after_mps)| after_mps - before_mps);
-    let changes: Vec<f64> = changes
-        .filter(|change_mps| change_mps.abs() > EQUAL_MPS)
-        .collect();
-    let pairs = changes.iter().zip(changes.iter().skip(1));
-    pairs
-        .filter(|(before, after)| *before * *after < 0.0)
-        .count()
+/// Returns the longest time between vertices but for few that are missing; `None` if there are less than two vertices.
+pub(super) fn usual_step_s(vertices: &[PathVertex]) -> Option<f64> {
+    let pairs = vertices.iter().zip(vertices.iter().skip(1));
+    let mut steps_s: Vec<f64> = pairs.map(|(from, to)| to.time_s - from.time_s).collect();
+    steps_s.sort_by(f64::total_cmp);
+    let usual = (USUAL_STEPS * steps_s.len().saturating_sub(1) as f64) as usize;
+    steps_s.get(usual).copied()
 }
 
 /// Lets a plan follow the vertices from the first on. `rounding_m` is the largest error of a position. `limits_mps2`
@@ -146,7 +145,7 @@ pub(super) fn follow(
     let smoothing_m = SMOOTHING_M + rounding_m;
     let window_s = averaging_window_s(vertices, rounding_m);
     let path = match window_s {
-        Some(window_s) => recorded_path(vertices, rounding_m, window_s),
+        Some(window_s) => recorded_path(&with_missing_vertices(vertices), rounding_m, window_s),
         None => path_to_standstill(vertices, rounding_m),
     };
     let mut segments = segments_of(&path);
@@ -195,7 +194,7 @@ fn set_begin(
     if is_initial && let Some(first) = segments.first() {
         let own_mps = first.speed_mps(first.start_s);
         // Rounding is no reason for a ramp at the start of a recording.
-        if is_recorded && (own_mps - begin.speed_mps).abs() >= EQUAL_MPS {
+        if is_recorded {
             begin = BeginSpeed {
                 speed_mps: own_mps,
                 is_own: true,
@@ -239,9 +238,9 @@ pub(super) fn held_from(vertices: &[PathVertex], rounding_m: f64) -> Option<usiz
         .take_while(|vertex| vertex.position_m == last.position_m);
     let held_from = vertices.len().checked_sub(held.count())?;
     let held_s = vertices.get(held_from)?.time_s;
-    // Before, the vehicle moves farther in the same time than rounding explains.
+    // Before, the vehicle moves farther in the same time than the rounding of both distances explains.
     let moved_m = last.position_m - position_m(vertices, held_s - (last.time_s - held_s));
-    (held_from + 1 < vertices.len() && moved_m > 2.0 * rounding_m + EQUAL_M).then_some(held_from)
+    (held_from + 1 < vertices.len() && moved_m > 4.0 * rounding_m + EQUAL_M).then_some(held_from)
 }
 
 /// Returns the position of the polyline at a time.
@@ -737,7 +736,8 @@ mod tests {
             let mut plan = SpeedPlan::constant(vertices[0].position_m, 20.0);
             let off_m = follow(&mut plan, &vertices, rounding_m, [30.0, 30.0]);
             let averaged_m = match averaging_window_s(&vertices, rounding_m) {
-                Some(_) => 6.0 * rounding_m,
+                // Averages over a single step have an error of 3 a h² / 4.
+                Some(window_s) => f64::max(6.0 * rounding_m, 0.75 * window_s * window_s),
                 None => 0.0,
             };
             // The ramp from the initial speed to that at the start of the first segment takes `change / 30` seconds.
@@ -767,7 +767,7 @@ mod tests {
         }
     }
 
-    /// A coarse grid is that of a recording if the rounding makes the vehicle brake and accelerate in turns.
+    /// A coarse grid is that of a recording if the accelerations alternate.
     #[test]
     fn a_coarse_grid_is_removed_only_from_recordings() {
         let rounded = |rate_hz: f64| {
@@ -778,6 +778,8 @@ mod tests {
             vertices(samples)
         };
         assert_eq!(rounding_m(&rounded(10.0), 0.1), 0.05);
+        // The times between vertices are not exactly 0.2 s.
+        assert_eq!(rounding_m(&rounded(5.0), 0.1), 0.05);
         assert_eq!(rounding_m(&rounded(2.0), 0.1), MIN_ROUNDING_M);
         assert_eq!(rounding_m(&rounded(10.0), 1.0), MIN_ROUNDING_M);
         assert_eq!(rounding_m(&rounded(2.0), 0.01), 0.005);
@@ -785,7 +787,7 @@ mod tests {
             let time_s = 0.1 * f64::from(sample);
             (time_s, 18.0 * time_s)
         }));
-        assert_eq!(rounding_m(&constant, 0.1), MIN_ROUNDING_M);
+        assert_eq!(rounding_m(&constant, 0.1), ROUND_VALUES_M);
     }
 
     #[test]

@@ -31,7 +31,7 @@ const STRAIGHT_M: f64 = 0.01;
 const MAX_SLOPE: f64 = 0.65;
 
 /// Work for each vertex: to find its grid, to resolve and to follow it, and to measure the distance from it.
-const WORK_PER_VERTEX: u64 = 5 * WORK_PER_SAMPLE;
+const WORK_PER_VERTEX: u64 = 6 * WORK_PER_SAMPLE;
 
 pub(super) struct TrajectoryAction<'a> {
     pub(super) node: Node<'a>,
@@ -154,10 +154,12 @@ fn read_polyline<'a>(holder: Node<'a>) -> Result<Node<'a>> {
         return Err(trajectory.refuse("a closed trajectory is not supported"));
     }
     let shape = trajectory.child("Shape")?.single()?;
-    if shape.name() == "Polyline" {
-        Ok(shape)
-    } else {
-        Err(shape.refuse("is not supported as a shape, only Polyline"))
+    match shape.name() {
+        "Polyline" => Ok(shape),
+        "Clothoid" | "ClothoidSpline" | "Nurbs" => {
+            Err(shape.refuse("is a curve: vehicles drive along straight lanes"))
+        }
+        _ => Err(shape.refuse("is not supported as a shape, only Polyline")),
     }
 }
 
@@ -242,7 +244,8 @@ impl<'a> Replay<'a, '_> {
                 lateral_m,
             };
             if let Some(before) = vertices.last() {
-                check_along(*node, before, &vertex, self.is_pedestrian(actor))?;
+                let may_cross = self.is_pedestrian(actor);
+                check_along(*node, [before, &vertex], action.resolution_m, may_cross)?;
             }
             vertices.push(vertex);
         }
@@ -261,7 +264,7 @@ impl<'a> Replay<'a, '_> {
         } else {
             PlacePurpose::Vertex
         };
-        let lane_place = resolve_place(node, &[], self.entities, self.roads, purpose)?;
+        let lane_place = resolve_place(node, &[], &self.place_sources(), purpose)?;
         let lane_place =
             lane_place.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
         if lane_place.road != self.road_id {
@@ -498,19 +501,20 @@ fn lateral_move(node: Node<'_>, from: PathVertex, to: PathVertex) -> LateralMove
     }
 }
 
-/// Refuses a trajectory that turns away from the direction of the lane, unless it may cross the lanes.
+/// Refuses a trajectory that turns away from the direction of the lane, unless it may cross the lanes. Rounding of the
+/// positions moves a vehicle by up to `resolution_m` from vertex to vertex, in any direction.
 fn check_along(
     node: Node<'_>,
-    before: &PathVertex,
-    vertex: &PathVertex,
+    [before, vertex]: [&PathVertex; 2],
+    resolution_m: f64,
     may_cross: bool,
 ) -> Result<()> {
     let along_m = vertex.position_m - before.position_m;
     let across_m = (vertex.lateral_m - before.lateral_m).abs();
-    if !may_cross && across_m > STRAIGHT_M && across_m > MAX_SLOPE * along_m {
+    if !may_cross && across_m > STRAIGHT_M + resolution_m && across_m > MAX_SLOPE * along_m {
         return Err(node.refuse("the trajectory crosses the lanes: vehicles drive along them"));
     }
-    if along_m < -START_TOLERANCE_M {
+    if along_m < -START_TOLERANCE_M - resolution_m {
         return Err(node.refuse("the trajectory goes backwards"));
     }
     Ok(())

@@ -8,7 +8,7 @@ use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::limits::ConditionCount;
 use super::quantity::EntityCondition;
-use super::replay::Replay;
+use super::replay::{REPLAY_STEP_S, Replay};
 use super::storyboard::{ElementNames, entity_index};
 use super::variables::ValueCondition;
 use super::vocabulary::{AwaitedState, ConditionEdge, ElementKind, Rule};
@@ -105,6 +105,24 @@ impl ConditionThreshold {
             f64::MIN_POSITIVE
         } else {
             margin
+        }
+    }
+
+    /// Returns the share of a step after which a continuous value passes through the threshold of `equalTo`.
+    pub(super) fn passing_share(self, before: f64, value: f64) -> Option<f64> {
+        let [before, after] = [before - self.value, value - self.value];
+        let passes = before * after < 0.0 && before.abs().min(after.abs()) > EQUAL;
+        let share = before / (before - after);
+        (self.rule == Rule::EqualTo && passes && share.is_finite()).then_some(share)
+    }
+
+    /// Returns the state of a condition on the time. A step may pass through the time of `equalTo`.
+    fn time_state(self, now_s: f64, is_first: bool) -> ConditionState {
+        let passes = !is_first && self.passing_share(now_s - REPLAY_STEP_S, now_s).is_some();
+        ConditionState {
+            margin: if passes { EQUAL } else { self.margin(now_s) },
+            since_s: self.since_s().or(passes.then_some(self.value)),
+            depends_on_controller: false,
         }
     }
 
@@ -325,11 +343,9 @@ impl<'a> Condition<'a> {
         };
         match &mut self.kind {
             ConditionKind::Never => Ok(never),
-            ConditionKind::Time(threshold) => Ok(ConditionState {
-                margin: threshold.margin(now_s),
-                since_s: threshold.since_s(),
-                depends_on_controller: false,
-            }),
+            ConditionKind::Time(threshold) => {
+                Ok(threshold.time_state(now_s, self.margin_before.is_none()))
+            }
             ConditionKind::Value(condition) => Ok(ConditionState {
                 margin: if replay.variables.holds(self.node, condition)? {
                     1.0
@@ -347,6 +363,9 @@ impl<'a> Condition<'a> {
                 Ok(awaited.state(replay, seen.unwrap_or(replay.step_serial())))
             }
             ConditionKind::Entity(condition) => {
+                if self.margin_before.is_none() {
+                    condition.values_before.clear();
+                }
                 entity_state(replay, condition, &self.entities, self.needs_all, now_s)
             }
         }
@@ -363,14 +382,19 @@ fn entity_state(
 ) -> Result<ConditionState> {
     let pick = if needs_all { f64::min } else { f64::max };
     let mut margins = Vec::with_capacity(entities.len());
-    for entity in entities {
+    let mut since_s = Vec::new();
+    for (index, entity) in entities.iter().enumerate() {
         let value = condition.value(replay, *entity, now_s)?;
-        margins.push(condition.threshold.margin(value));
+        let passed_s = condition.passed_s(index, value, now_s);
+        margins.push(match passed_s {
+            Some(_) => EQUAL,
+            None => condition.threshold.margin(value),
+        });
+        since_s.extend(passed_s.or_else(|| condition.quantity.since_s(replay, *entity, now_s)));
     }
-    let since = entities
-        .iter()
-        .filter_map(|entity| condition.quantity.since_s(replay, *entity, now_s));
-    let since_s = since.reduce(if needs_all { f64::max } else { f64::min });
+    let since_s = since_s
+        .into_iter()
+        .reduce(if needs_all { f64::max } else { f64::min });
     let reference = condition.quantity.reference;
     let mut entities = entities.iter().copied().chain(reference);
     Ok(ConditionState {

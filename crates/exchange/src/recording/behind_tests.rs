@@ -195,6 +195,11 @@ fn a_guess_reads_columns_of_a_follower_behind() {
         "t,dx_lead,v_ego,v_lead,dx_follow,v_follow",
         "time,gap,v,v_lead,gap_follower,v_follower",
         "time,dist_preceding,v_ego,v_preceding,dist_following,v_following",
+        "Time,Gap,Speed,LeadSpeed,TailGap,TailSpeed",
+        "time,leadgap,egospeed,leadspeed,tailgap,tailspeed",
+        "time,range_front,v_ego,v_front,trailing_range,trailing_v",
+        "time,gap,v,v_lead,tailgater_distance,tailgater_speed",
+        "Zeit,Abstand,v,v_vorne,Abstand_Nachfolger,v_Nachfolger",
     ] {
         std::fs::write(&path, format!("{names}\n{speeds}")).unwrap();
         let draft = guess::guess(&path).unwrap().expect("a draft");
@@ -218,6 +223,56 @@ fn a_guess_reads_columns_of_a_follower_behind() {
     assert!(pairs.behind.is_none());
     assert_eq!(pairs.follower_speed.as_ref().unwrap().column, "v_follower");
     assert_eq!(draft.unread, ["distance_left"]);
+}
+
+/// Wheels have the speed of the own vehicle, whatever else their names have.
+#[test]
+fn a_guess_reads_no_wheel_as_a_vehicle_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.csv");
+    let speeds = rows(60, |time_s| [gap_m(2, time_s), speed_mps(2, time_s)]);
+    let pairs = |names: &str| {
+        std::fs::write(&path, format!("{names}\n{speeds}")).unwrap();
+        let draft = guess::guess(&path).unwrap().expect("a draft");
+        match draft.map.layout {
+            LayoutSpec::Pairs(pairs) => pairs,
+            layout => panic!("{layout:?}"),
+        }
+    };
+    for wheel in [
+        "rear wheel speed",
+        "wheel_speed_rr",
+        "WheelSpeedRear",
+        "rearwheelspeed",
+        "speed_rl_rear",
+    ] {
+        let pairs = pairs(&format!("time,gap,v_ego,v_lead,gap_rear,{wheel}"));
+        assert!(pairs.behind.is_none(), "{wheel}: {pairs:?}");
+    }
+    // Without another one, a wheel has the own speed.
+    let pairs = pairs("time,gap,rear wheel speed,v_lead,gap_tail,v_tail");
+    assert_eq!(pairs.follower_speed.unwrap().column, "rear wheel speed");
+    assert_eq!(pairs.behind.unwrap().speed.unwrap().column, "v_tail");
+}
+
+/// At constant gaps and equal speeds, no candidate contradicts itself: each choice is the first of its order.
+#[test]
+fn of_several_consistent_candidates_the_first_is_the_draft() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.csv");
+    let names = "time,gap,distance,v,speed,v_lead,v_rel,tail_gap,tail_v,rear_gap,rear_v";
+    let row = |tenth: usize| format!("{:.1},30,30,20,20,20,0,30,20,30,20\n", tenth as f64 / 10.0);
+    let rows: String = (0..600).map(row).collect();
+    std::fs::write(&path, format!("{names}\n{rows}")).unwrap();
+    let draft = guess::guess(&path).unwrap().expect("a draft").map;
+    let text = "version = 1\nname = \"draft\"\ntime.clock = { column = \"time\" }\n[layout.pairs]\n\
+        spacing = { column = \"gap\", unit = \"m\" }\nfollower_speed = { column = \"v\", unit = \"m/s\" }\n\
+        leader_speed = { column = \"v_lead\", unit = \"m/s\" }\n\
+        relative_speed = { column = \"v_rel\", unit = \"m/s\", sign = \"leader-minus-follower\" }\n\
+        [layout.pairs.behind]\nspacing = { column = \"rear_gap\", unit = \"m\" }\n\
+        speed = { column = \"rear_v\", unit = \"m/s\" }\n";
+    let expected = RecordingMap::from_toml(text, Path::new("map.toml")).unwrap();
+    assert_eq!(draft, *expected.spec());
 }
 
 /// CAN frames of a front and a rear radar, decoded with a DBC file.

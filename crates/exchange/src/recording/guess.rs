@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use serde_json::Value;
+
 use super::binary::{self, FileColumns};
 use super::dropped::{Omission, SPEEDS_LEFT_OUT};
 use super::error::RecordingError;
@@ -25,12 +27,23 @@ const LEADERS: &str = "lead leader target front preceding ahead object obj tgt v
 const BEHIND: &str = "rear behind back hinten hinter heck";
 /// Words of the vehicle behind in a recording that also describes the vehicle ahead. In other recordings of pairs, the
 /// follower is the vehicle under test.
-const BEHIND_OR_FOLLOWING: &str = "rear behind back hinten hinter heck follow";
+const BEHIND_OR_FOLLOWING: &str = "rear behind back hinten hinter heck follow tail tailing tailgat trail trailing \
+    nachfolg folgefahrzeug";
+/// Words of wheels, whose speeds are those of the own vehicle.
+const WHEELS: &str = "wheel wheels whl tyre tire axle rad reifen achse fl fr rl rr";
 const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
 const EVENTS: &str = "event eventid episode episodeid pair pairid";
 const LANES: &str = "lane laneid spur fahrstreifen";
 const POSITIONS: &str = "x y pos position s station localy";
 const LENGTHS: &str = "length len";
+/// Words that compounds contain besides those above.
+const OTHERS: &str = "ego own";
+
+/// Units of speeds and of relative speeds in recordings that mix them: of a dashboard and of a radar.
+const MIXED_UNITS: [[&str; 2]; 2] = [["km/h", "m/s"], ["mph", "m/s"]];
+
+/// Maximum number of rows that a guess reads, over all candidates.
+const MAX_ROWS_READ: usize = 5_000_000;
 
 /// A map that fits a recording.
 #[derive(Debug)]
@@ -43,6 +56,21 @@ pub struct MapDraft {
     pub recording: Recording,
     /// Columns that look like spacings or speeds, and that the map does not read.
     pub unread: Vec<String>,
+    /// Other units and signs of the same columns that also contradict nothing, each in words.
+    pub other_readings: Vec<String>,
+}
+
+impl MapDraft {
+    /// Creates a draft without other readings.
+    fn new(columns: &Columns, map: RecordingMapSpec, recording: Recording) -> Self {
+        Self {
+            unread: columns.unread(&map),
+            map,
+            built_in: None,
+            recording,
+            other_readings: Vec::new(),
+        }
+    }
 }
 
 /// Columns of a file with the words of their names.
@@ -52,7 +80,12 @@ impl Columns {
     /// Splits names into words.
     fn new(names: Vec<String>) -> Self {
         let columns = names.into_iter().map(|name| {
-            let words = words(&name);
+            let mut words = words(&name);
+            let parts: Vec<_> = words
+                .iter()
+                .filter_map(|word| split_compound(word))
+                .collect();
+            words.extend(parts.into_iter().flatten());
             (name, words)
         });
         Self(columns.collect())
@@ -88,6 +121,30 @@ impl Columns {
         let unread = columns.filter(|(name, words)| is_motion(words) && !is_read(name));
         unread.map(|(name, _)| name.clone()).collect()
     }
+}
+
+/// Returns the two known words of a compound such as `tailgap`. Shorter words are parts of too many others.
+fn split_compound(word: &str) -> Option<[String; 2]> {
+    const MIN_LETTERS: usize = 3;
+    let lists = [
+        TIMES,
+        SPACINGS,
+        RELATIVE,
+        SPEEDS,
+        LEADERS,
+        BEHIND_OR_FOLLOWING,
+        WHEELS,
+        POSITIONS,
+        LENGTHS,
+        OTHERS,
+    ];
+    let is_word = |part: &str| {
+        let mut words = lists.iter().flat_map(|list| list.split(' '));
+        part.len() >= MIN_LETTERS && words.any(|word| word == part)
+    };
+    let mut places = word.char_indices().map(|(place, _)| word.split_at(place));
+    let parts = places.find(|(first, second)| is_word(first) && is_word(second));
+    parts.map(|(first, second)| [first, second].map(str::to_owned))
 }
 
 /// Returns whether a name has one of the wanted words. Long words are also found within compounds.
@@ -140,24 +197,32 @@ impl<'c> NamedColumns<'c> {
             time: columns.find(TIMES, &[SPACINGS])?,
             spacing: columns.find(SPACINGS, &[RELATIVE, TIMES, behind]),
             relative: columns.find(RELATIVE, &[behind]),
-            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS, behind]),
-            own: columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS, behind]),
+            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS, WHEELS, behind]),
+            own: columns
+                .find(
+                    SPEEDS,
+                    &[RELATIVE, LEADERS, TIMES, SPACINGS, WHEELS, behind],
+                )
+                // Wheels have the own speed, also those at the rear.
+                .or_else(|| {
+                    columns.find_both(SPEEDS, WHEELS, &[RELATIVE, LEADERS, TIMES, SPACINGS])
+                }),
             position: columns.find(POSITIONS, &[SPEEDS, LEADERS]),
             event: columns.find(EVENTS, &[TIMES]),
             vehicle: columns.find(VEHICLES, &not_vehicle),
             lane: columns.find(LANES, &[LEADERS]),
             length: columns.find(LENGTHS, &[LEADERS, behind]),
             spacing_behind: columns.find_both(SPACINGS, behind, &[RELATIVE, TIMES]),
-            speed_behind: columns.find_both(SPEEDS, behind, &[RELATIVE, TIMES, SPACINGS]),
+            speed_behind: columns.find_both(SPEEDS, behind, &[RELATIVE, TIMES, SPACINGS, WHEELS]),
             relative_behind: columns.find_both(RELATIVE, behind, &[]),
         })
     }
 
     /// Returns the candidate layouts with default units, the likeliest first. A row of a recording of traffic, which
     /// has lanes, may also describe the leader.
-    fn layouts(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
-        let pairs = self.pairs(speed_unit, length_unit);
-        let tracks = self.tracks(speed_unit, length_unit);
+    fn layouts(&self, units: DefaultUnits) -> Vec<LayoutSpec> {
+        let pairs = self.pairs(units);
+        let tracks = self.tracks(units.speed, units.length);
         if self.lane.is_some() {
             tracks.into_iter().chain(pairs).collect()
         } else {
@@ -166,7 +231,7 @@ impl<'c> NamedColumns<'c> {
     }
 
     /// Returns the layouts of pairs with each sign of the relative speed, also with exchanged speeds.
-    fn pairs(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
+    fn pairs(&self, units: DefaultUnits) -> Vec<LayoutSpec> {
         let Some(spacing) = self.spacing else {
             return Vec::new();
         };
@@ -174,7 +239,7 @@ impl<'c> NamedColumns<'c> {
         if speeds.into_iter().flatten().count() < 2 {
             return Vec::new();
         }
-        let spacing = spacing_spec(spacing, length_unit);
+        let spacing = spacing_spec(spacing, units.length);
         let mut layouts = Vec::new();
         for [follower, leader] in [[self.own, self.leader], [self.leader, self.own]] {
             for sign in [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader] {
@@ -182,14 +247,14 @@ impl<'c> NamedColumns<'c> {
                     event: self.event.cloned(),
                     spacing: spacing.clone(),
                     length_m: None,
-                    follower_speed: follower.map(|name| speed(name, speed_unit)),
-                    leader_speed: leader.map(|name| speed(name, speed_unit)),
+                    follower_speed: follower.map(|name| speed(name, units.speed)),
+                    leader_speed: leader.map(|name| speed(name, units.speed)),
                     relative_speed: self
                         .relative
-                        .map(|name| relative_speed(name, speed_unit, sign)),
+                        .map(|name| relative_speed(name, units.relative, sign)),
                     behind: None,
                 };
-                let behind = self.behind(speed_unit, length_unit);
+                let behind = self.behind(units);
                 let with_behind = behind.into_iter().map(|behind| PairsSpec {
                     behind: Some(behind),
                     ..pairs.clone()
@@ -202,11 +267,11 @@ impl<'c> NamedColumns<'c> {
     }
 
     /// Returns the columns of the vehicle behind, with each sign of its relative speed.
-    fn behind(&self, speed_unit: &str, length_unit: &str) -> Vec<BehindSpec> {
+    fn behind(&self, units: DefaultUnits) -> Vec<BehindSpec> {
         let Some(spacing) = self.spacing_behind else {
             return Vec::new();
         };
-        let spacing = spacing_spec(spacing, length_unit);
+        let spacing = spacing_spec(spacing, units.length);
         let behind = |speed, relative_speed| BehindSpec {
             spacing: spacing.clone(),
             length_m: None,
@@ -214,9 +279,9 @@ impl<'c> NamedColumns<'c> {
             relative_speed,
         };
         match (self.speed_behind, self.relative_behind) {
-            (Some(name), _) => vec![behind(Some(speed(name, speed_unit)), None)],
+            (Some(name), _) => vec![behind(Some(speed(name, units.speed)), None)],
             (None, Some(name)) => [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader]
-                .map(|sign| behind(None, Some(relative_speed(name, speed_unit, sign))))
+                .map(|sign| behind(None, Some(relative_speed(name, units.relative, sign))))
                 .into(),
             (None, None) => Vec::new(),
         }
@@ -267,7 +332,17 @@ fn spacing_spec(column: &str, unit: &str) -> SpacingSpec {
     }
 }
 
-/// Returns the candidate maps, the likeliest first: without units, if the file states them.
+/// Returns the candidate maps, the likeliest first: without units, if the file states them. Of several maps that fit,
+/// the first is the draft. They are in this order:
+/// - by layout: `pairs`, then `tracks`; in files with lanes `tracks`, then `pairs`;
+/// - maps with a vehicle behind, then others;
+/// - names with `rear`, `behind` or `back` for the vehicle behind, then also those with `follow`, `tail` or `trail`;
+/// - units of spacings, then of speeds, in the order of [`LengthUnit::ALL`] and [`SpeedUnit::ALL`], then
+///   [`MIXED_UNITS`];
+/// - speeds of follower and leader as named, then exchanged;
+/// - relative speed of the leader minus the follower, then the opposite.
+///
+/// Of several columns with fitting names, each map has the first one of the file.
 fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     let Some(named) = NamedColumns::find(columns, BEHIND) else {
         return Vec::new();
@@ -277,11 +352,11 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
         unit_or_default(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
     let mut layouts = layouts_with_units(&named, states_units);
     if let Some(named) = NamedColumns::find(columns, BEHIND_OR_FOLLOWING) {
-        layouts.extend(
-            layouts_with_units(&named, states_units)
-                .into_iter()
-                .filter(has_vehicle_behind),
-        );
+        for layout in layouts_with_units(&named, states_units) {
+            if !layouts.contains(&layout) {
+                layouts.push(layout);
+            }
+        }
     }
     // The layout weighs more than the units: a recording of pairs may contradict a map of tracks in no unit.
     let has_tracks_first = matches!(layouts.first(), Some(LayoutSpec::Tracks(_)));
@@ -303,16 +378,41 @@ fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
 /// Returns the candidate layouts with all default units, each once, the likeliest first.
 fn layouts_with_units(named: &NamedColumns<'_>, states_units: bool) -> Vec<LayoutSpec> {
     let mut layouts: Vec<LayoutSpec> = Vec::new();
-    for speed_unit in unit_names(SpeedUnit::ALL, states_units) {
-        for length_unit in unit_names(LengthUnit::ALL, states_units) {
-            for layout in named.layouts(speed_unit, length_unit) {
-                if !layouts.contains(&layout) {
-                    layouts.push(layout);
-                }
+    for units in default_units(states_units) {
+        for layout in named.layouts(units) {
+            if !layouts.contains(&layout) {
+                layouts.push(layout);
             }
         }
     }
     layouts
+}
+
+/// Units of columns whose names state none.
+#[derive(Clone, Copy)]
+struct DefaultUnits {
+    speed: &'static str,
+    /// Of relative speeds.
+    relative: &'static str,
+    length: &'static str,
+}
+
+/// Returns the default units, the likeliest first.
+fn default_units(states_units: bool) -> Vec<DefaultUnits> {
+    let mut all = Vec::new();
+    for length in unit_names(LengthUnit::ALL, states_units) {
+        let equal = unit_names(SpeedUnit::ALL, states_units).map(|unit| [unit, unit]);
+        all.extend(
+            equal
+                .chain(MIXED_UNITS)
+                .map(|[speed, relative]| DefaultUnits {
+                    speed,
+                    relative,
+                    length,
+                }),
+        );
+    }
+    all
 }
 
 fn has_vehicle_behind(layout: &LayoutSpec) -> bool {
@@ -375,12 +475,13 @@ fn built_in_draft(path: &Path, names: &[String]) -> Option<MapDraft> {
         _ => RecordingMap::recognise(names.iter().map(String::as_str))?,
     };
     let map = RecordingMap::built_in(name)?.ok()?;
-    let recording = load_first_rows(path, &map).ok()?;
+    let recording = load_first_rows(path, &map, MAX_ROWS_READ).ok()?;
     Some(MapDraft {
         map: map.spec().clone(),
         built_in: Some(name),
         recording,
         unread: Vec::new(),
+        other_readings: Vec::new(),
     })
 }
 
@@ -411,20 +512,19 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     let columns = Columns::new(names);
     let mut second_choice = None;
     let mut contradiction = None;
-    for map in candidates(&columns, states_units) {
+    let candidates = candidates(&columns, states_units);
+    let rows = MAX_ROWS_READ / candidates.len().max(1);
+    let mut candidates = candidates.into_iter();
+    while let Some(map) = candidates.next() {
         let Ok(checked) = RecordingMap::new(map.clone()) else {
             continue;
         };
-        match load_first_rows(path, &checked) {
+        match load_first_rows(path, &checked, rows) {
             Ok(recording) => {
                 let is_consistent = is_consistent(&recording);
-                let draft = MapDraft {
-                    unread: columns.unread(&map),
-                    map,
-                    built_in: None,
-                    recording,
-                };
+                let mut draft = MapDraft::new(&columns, map, recording);
                 if is_consistent {
+                    draft.other_readings = other_readings((path, rows), &draft.map, candidates);
                     return Ok(Some(draft));
                 }
                 second_choice.get_or_insert(draft);
@@ -441,10 +541,80 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     }
 }
 
+/// Returns whether the first rows of a recording can be read with a map, and contradict nothing.
+fn fits(path: &Path, map: &RecordingMapSpec, rows: usize) -> bool {
+    let Ok(map) = RecordingMap::new(map.clone()) else {
+        return false;
+    };
+    load_first_rows(path, &map, rows).is_ok_and(|recording| is_consistent(&recording))
+}
+
+/// Returns the units and signs of the later candidates with the draft's columns that fit as well.
+fn other_readings(
+    (path, rows): (&Path, usize),
+    draft: &RecordingMapSpec,
+    later: impl Iterator<Item = RecordingMapSpec>,
+) -> Vec<String> {
+    let Ok(of_draft) = serde_json::to_value(&draft.layout) else {
+        return Vec::new();
+    };
+    let mut others = Vec::new();
+    for map in later {
+        let mut changes = Vec::new();
+        let has_same_columns = serde_json::to_value(&map.layout)
+            .is_ok_and(|other| list_changes(&of_draft, &other, &mut changes));
+        if has_same_columns && fits(path, &map, rows) {
+            changes.sort_unstable();
+            others.push(changes.join(", "));
+        }
+    }
+    others
+}
+
+/// Adds the units and signs of columns in which a layout differs from another one. Returns false if it also differs in
+/// anything else.
+fn list_changes(first: &Value, second: &Value, changes: &mut Vec<String>) -> bool {
+    let (Value::Object(first), Value::Object(second)) = (first, second) else {
+        return first == second;
+    };
+    let column = first.get("column").or(first.get("name"));
+    let column = column.and_then(Value::as_str).unwrap_or_default();
+    first.len() == second.len()
+        && first.iter().all(|(field, value)| {
+            let values = second.get(field).map(|other| [value, other]);
+            values.is_some_and(|values| list_change((column, field.as_str()), values, changes))
+        })
+}
+
+/// Adds the change of a field of a column; looks for changes inside a field that is no unit or sign.
+fn list_change(
+    (column, field): (&str, &str),
+    [first, second]: [&Value; 2],
+    changes: &mut Vec<String>,
+) -> bool {
+    match (field, second.as_str()) {
+        _ if first == second => {}
+        ("unit", Some(unit)) => changes.push(format!("{column} in {unit}")),
+        ("sign", Some(_)) => changes.push(format!("{column} with the opposite sign")),
+        _ => return list_changes(first, second, changes),
+    }
+    true
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::parts::PART_ROWS;
     use super::*;
+
+    /// The numbers of candidates and rows are known before the first row is read. Here every choice is open.
+    #[test]
+    fn the_work_of_a_guess_has_a_limit() {
+        let names = "time,lane,id,x,gap,v,v_lead,v_rel,tail_gap,tail_v_rel,rear_gap,rear_v_rel";
+        let names = names.split(',').map(str::to_owned).collect();
+        let candidates = candidates(&Columns::new(names), true);
+        assert!(candidates.len() > 400, "{}", candidates.len());
+        assert!(MAX_ROWS_READ / candidates.len() > 5000);
+    }
 
     /// A draft needs only the first rows, although an import sorts all rows of tracks.
     #[test]
@@ -526,6 +696,45 @@ mod tests {
                 assert_eq!(*again.spec(), draft.map);
             }
         }
+    }
+
+    /// The own speed of a dashboard and the relative speed of a radar have different units, which no name states. Feet
+    /// and feet per second fit as well.
+    #[test]
+    fn drafts_read_relative_speeds_in_another_unit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let row = |tenth: u32| {
+            let at_s = f64::from(tenth) / 10.0;
+            let gap_m = 40.0 + 8.0 * (0.5 * at_s).sin();
+            let relative_mps = 4.0 * (0.5 * at_s).cos();
+            format!("{at_s:.1};{gap_m:.3};{:.2};{relative_mps:.3}\n", 3.6 * 20.0)
+        };
+        let rows: String = (0..600).map(row).collect();
+        std::fs::write(
+            &path,
+            format!("t;Abstand;Geschwindigkeit;Relativgeschwindigkeit\n{rows}"),
+        )
+        .unwrap();
+        let draft = guess(&path).unwrap().expect("a draft");
+        let LayoutSpec::Pairs(pairs) = &draft.map.layout else {
+            panic!("{:?}", draft.map)
+        };
+        assert_eq!(pairs.spacing.unit, Some(LengthUnit::Metres));
+        assert_eq!(
+            pairs.follower_speed.as_ref().unwrap().unit,
+            Some(SpeedUnit::KilometresPerHour)
+        );
+        assert_eq!(
+            pairs.relative_speed.as_ref().unwrap().unit,
+            Some(SpeedUnit::MetresPerSecond)
+        );
+        let feet = "Abstand in ft, Geschwindigkeit in ft/s, Relativgeschwindigkeit in ft/s";
+        assert!(
+            draft.other_readings.contains(&feet.to_owned()),
+            "{:?}",
+            draft.other_readings
+        );
     }
 
     /// A row of a vehicle and its leader has ids and positions, too, and one of traffic may describe the leader.

@@ -52,13 +52,15 @@ fn first_part(
 /// Number of rows that show whether a map fits; tests use few.
 const SAMPLE_ROWS: usize = PART_ROWS / 5;
 
-/// Reads the first rows of a recording file, in the order of the file.
+/// Reads the first rows of a recording file, in the order of the file: at most `max_rows`, and no more than needed to
+/// show whether a map fits.
 pub(super) fn load_first_rows(
     path: &Path,
     map: &RecordingMap,
+    max_rows: usize,
 ) -> Result<Recording, RecordingError> {
     let mut table = open(path, Some(map), None)?;
-    table.rows_left = SAMPLE_ROWS;
+    table.rows_left = SAMPLE_ROWS.min(max_rows);
     first_part(path, |sink| read_rows(table, path, Some(map), sink))
 }
 

@@ -62,7 +62,7 @@ pub enum RejectionReason {
         /// Scenarios in which exactly one of the two policies is useful.
         drives: DiscordantPairs,
     },
-    /// The candidate is less useful in everyday traffic.
+    /// The candidate is less useful in everyday traffic or in recorded drives.
     WorseInTraffic {
         /// Measures that are worse, each with the value that it is compared with, and the candidate's.
         measures: Vec<(String, f64, f64)>,
@@ -224,51 +224,79 @@ fn objections_in_traffic(
     worse.into_iter().chain(amplified)
 }
 
-/// Names of the values of [`traffic_measures`].
-pub(super) const TRAFFIC_MEASURES: [&str; 8] = [
-    "collisions",
-    "hard unnecessary braking",
-    "falls behind",
-    "faults in everyday",
-    "rms acceleration, times idm",
-    "rms jerk, times idm",
-    "rms jerk in everyday, times idm",
-    "mean time gap, s",
-];
-
-pub(super) fn traffic_measures(useful: &TrafficUsefulness) -> [f64; 8] {
-    let everyday = useful.everyday.unwrap_or_default();
-    [
-        useful.collisions as f64,
-        useful.hard_braking as f64,
-        useful.fell_behind as f64,
-        everyday.faults as f64,
-        useful.acceleration_times_idm,
-        useful.jerk_times_idm,
-        everyday.jerk_times_idm,
-        useful.mean_time_gap_s,
-    ]
+/// Measure of usefulness that a round must not make worse.
+pub(super) struct TrafficMeasure {
+    pub(super) name: &'static str,
+    /// Returns the value; none if it was not measured.
+    pub(super) value: fn(&TrafficUsefulness) -> Option<f64>,
+    /// Range in which no value is worse than another: no fault, and the comfort of `idm`.
+    good_range: [f64; 2],
+    /// True for a number of faults; false for comfort.
+    is_fault: bool,
 }
+
+impl TrafficMeasure {
+    const fn fault(name: &'static str, value: fn(&TrafficUsefulness) -> Option<f64>) -> Self {
+        Self {
+            name,
+            value,
+            good_range: [0.0, 0.0],
+            is_fault: true,
+        }
+    }
+
+    const fn comfort(
+        name: &'static str,
+        good_range: [f64; 2],
+        value: fn(&TrafficUsefulness) -> Option<f64>,
+    ) -> Self {
+        Self {
+            name,
+            value,
+            good_range,
+            is_fault: false,
+        }
+    }
+}
+
+/// Range of a measure relative to `idm`.
+const LIKE_IDM: [f64; 2] = [0.0, 1.0];
+
+pub(super) const TRAFFIC_MEASURES: [TrafficMeasure; 10] = [
+    TrafficMeasure::fault("collisions", |useful| Some(useful.collisions as f64)),
+    TrafficMeasure::fault("hard unnecessary braking", |useful| {
+        Some(useful.hard_braking as f64)
+    }),
+    TrafficMeasure::fault("falls behind", |useful| Some(useful.fell_behind as f64)),
+    TrafficMeasure::fault("faults in everyday", |useful| {
+        Some(useful.everyday.unwrap_or_default().faults as f64)
+    }),
+    TrafficMeasure::fault("faults in recorded drives", |useful| {
+        Some(useful.recorded?.faults as f64)
+    }),
+    TrafficMeasure::comfort("rms acceleration, times idm", LIKE_IDM, |useful| {
+        Some(useful.acceleration_times_idm)
+    }),
+    TrafficMeasure::comfort("rms jerk, times idm", LIKE_IDM, |useful| {
+        Some(useful.jerk_times_idm)
+    }),
+    TrafficMeasure::comfort("rms jerk in everyday, times idm", LIKE_IDM, |useful| {
+        Some(useful.everyday.unwrap_or_default().jerk_times_idm)
+    }),
+    TrafficMeasure::comfort(
+        "rms jerk in recorded drives, times idm",
+        LIKE_IDM,
+        |useful| Some(useful.recorded?.jerk_times_idm),
+    ),
+    TrafficMeasure::comfort("mean time gap, s", TIME_GAP_RANGE_S, |useful| {
+        Some(useful.mean_time_gap_s)
+    }),
+];
 
 /// Rounds a measure for a text, in which counts have no decimal places.
 pub(super) fn to_thousandths(value: f64) -> f64 {
     (1000.0 * value).round() / 1000.0
 }
-
-/// Ranges of these measures in which no value is worse than another: no fault, and the comfort of `idm`.
-const GOOD_RANGES: [[f64; 2]; 8] = [
-    [0.0, 0.0],
-    [0.0, 0.0],
-    [0.0, 0.0],
-    [0.0, 0.0],
-    [0.0, 1.0],
-    [0.0, 1.0],
-    [0.0, 1.0],
-    TIME_GAP_RANGE_S,
-];
-
-/// Faults among these measures; the others describe comfort.
-const FAULT_MEASURES: usize = 4;
 
 /// Distance of a measure of comfort outside its range that counts as unchanged, relative to the end of the range.
 const COMFORT_TOLERANCE: f64 = 0.01;
@@ -280,19 +308,19 @@ fn worse_in_traffic(
     before: &TrafficUsefulness,
     after: &TrafficUsefulness,
 ) -> Vec<(String, f64, f64)> {
-    let [initial, before, after] = [initial, before, after].map(traffic_measures);
-    let mut worse = Vec::new();
-    for index in 0..TRAFFIC_MEASURES.len() {
-        let is_fault = index < FAULT_MEASURES;
-        let reference = if is_fault { before } else { initial }[index];
-        let tolerance = if is_fault { 0.0 } else { COMFORT_TOLERANCE };
+    let worse = TRAFFIC_MEASURES.iter().filter_map(|measure| {
+        let reference = if measure.is_fault { before } else { initial };
+        let tolerance = if measure.is_fault {
+            0.0
+        } else {
+            COMFORT_TOLERANCE
+        };
+        let [after, reference] = [(measure.value)(after)?, (measure.value)(reference)?];
         let [excess_after, excess] =
-            [after[index], reference].map(|value| excess_over_range(value, GOOD_RANGES[index]));
-        if excess_after > excess + tolerance {
-            worse.push((TRAFFIC_MEASURES[index].to_owned(), reference, after[index]));
-        }
-    }
-    worse
+            [after, reference].map(|value| excess_over_range(value, measure.good_range));
+        (excess_after > excess + tolerance).then(|| (measure.name.to_owned(), reference, after))
+    });
+    worse.collect()
 }
 
 /// Returns how far a value is outside a range, relative to the end of the range if that is above 1.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::RetrainError;
 use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
-use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
+use crate::rl::{TrafficBenchmark, TrafficUsefulness, TrainingError, measure_usefulness};
 use crumple_measure::UsefulnessMeasures;
 use crumple_sim::control::{BuiltInController, ControllerSource, IntoSource};
 use crumple_sim::engine::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
@@ -42,7 +42,7 @@ pub struct RegressionSpaceResult {
 #[derive(Debug)]
 pub(super) struct RegressionSet {
     spaces: Vec<RegressionSpace>,
-    /// Everyday traffic, if the preset selects checkpoints by usefulness.
+    /// Everyday traffic and recorded drives, if the preset selects checkpoints by usefulness.
     traffic: Option<TrafficBenchmark>,
 }
 
@@ -54,8 +54,11 @@ impl RegressionSet {
             .map(|space| RegressionSpace::new(plan, space));
         let spaces = spaces.collect::<Result<Vec<_>, _>>()?;
         let is_checked = plan.training.evaluation.usefulness_draws > 0;
-        let traffic =
-            || TrafficBenchmark::new(NOMINAL_SEED, plan.settings.nominal, plan.estimator());
+        let drives = plan.training.load_drives().map_err(TrainingError::from)?;
+        let traffic = || {
+            TrafficBenchmark::new(NOMINAL_SEED, plan.settings.nominal, plan.estimator())?
+                .with_drives(drives)
+        };
         Ok(Self {
             spaces,
             traffic: is_checked.then(traffic).transpose()?,

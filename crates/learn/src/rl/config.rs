@@ -281,6 +281,13 @@ pub struct EvaluationConfig {
     /// Random scenarios of the built-in space `traffic`, in which a ranked policy must also be useful; 0 for none.
     #[serde(default, skip_serializing_if = "is_default", alias = "useful_draws")]
     pub usefulness_draws: u64,
+    /// Folder of recorded drives (`crumple import --whole`), relative to the working directory, in which a ranked
+    /// policy must also be useful. Needs `usefulness_draws`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drives: Option<String>,
+    /// SHA-256 of these drives. crumple adds it, and refuses other drives.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drives_sha256: Option<String>,
     /// Smallest gap, in metres, with which a policy must pass all of these to end the training; 0 never ends it.
     pub master_gap_m: f64,
     /// Updates over which the evaluated policy averages the actor's weights, recent ones most (Polyak and Juditsky

@@ -107,10 +107,11 @@ impl EvaluationSet {
         }
     }
 
-    /// Creates the scenarios of a configuration: ranking in its spaces, if any, and traffic for usefulness.
+    /// Creates the scenarios of a configuration: ranking in its spaces, if any, and traffic and recorded drives for
+    /// usefulness.
     ///
     /// # Errors
-    /// [`TrainingError`] if its spaces cannot be drawn from.
+    /// [`TrainingError`] if its spaces cannot be drawn from, or its drives cannot be loaded.
     pub fn from_config(config: &TrainingConfig) -> Result<Self, TrainingError> {
         let evaluation = &config.evaluation;
         let environment = &config.environment;
@@ -122,11 +123,9 @@ impl EvaluationSet {
             held_out.ranking = draws.collect::<Result<_, _>>()?;
         }
         if evaluation.usefulness_draws > 0 {
-            held_out.traffic = Some(TrafficBenchmark::new(
-                TRAFFIC_SEED,
-                evaluation.usefulness_draws,
-                environment.estimator,
-            )?);
+            let draws = evaluation.usefulness_draws;
+            let traffic = TrafficBenchmark::new(TRAFFIC_SEED, draws, environment.estimator)?;
+            held_out.traffic = Some(traffic.with_drives(config.load_drives()?)?);
         }
         Ok(held_out)
     }

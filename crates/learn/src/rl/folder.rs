@@ -118,6 +118,19 @@ impl Study for SeedTraining<'_> {
         config_toml(self.config).map(Some)
     }
 
+    /// The configuration has a line with the seed and old names, which the file does not have.
+    fn compared_configurations(&self, existing: &str) -> Result<[String; 2], TrainingError> {
+        let parsed = text_file::parse_toml::<TrainingConfig>(existing, Path::new(CONFIGURATION));
+        let Ok(existing) = parsed else {
+            return Ok([existing.to_owned(), config_toml(self.config)?]);
+        };
+        let asked = TrainingConfig {
+            episodes: existing.episodes,
+            ..self.config.clone()
+        };
+        Ok([config_toml(&existing)?, config_toml(&asked)?])
+    }
+
     fn is_finished(&self, folder: &RunFolder) -> Result<bool, TrainingError> {
         let existing = folder.read(CONFIGURATION)?.unwrap_or_default();
         Ok(folder.is_complete() && is_same_config(self.config, &existing)?)

@@ -1,8 +1,8 @@
 //! Validation of training configurations: the range of each number, and constraints between fields.
 
 use super::config::{
-    EnvironmentConfig, LearningConfig, NetworkConfig, PENALTY_RANGE, TRAINING_VERSION,
-    TrainingConfig,
+    EnvironmentConfig, EvaluationConfig, LearningConfig, NetworkConfig, PENALTY_RANGE,
+    TRAINING_VERSION, TrainingConfig,
 };
 use super::config_error::{TrainingConfigError, check_range};
 use super::space_mixture;
@@ -91,6 +91,7 @@ impl TrainingConfig {
             imitation.check()?;
         }
         self.learning.check_decay_and_penalties()?;
+        self.evaluation.check_drives()?;
         self.check_decay_after_start()?;
         self.check_capacity()?;
         space_mixture::check_spaces(&self.spaces)?;
@@ -152,43 +153,54 @@ impl TrainingConfig {
 
     /// Returns an upper bound of the bytes of each part of a training, with the field that determines it.
     fn memory_by_field(&self) -> [(&'static str, u64); 5] {
-        let inputs = self.environment.observation.width() + self.learning.privileged_width() + 1;
-        let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]]
-            .concat()
-            .iter()
-            .map(|&w| w as u64)
-            .collect();
+        let widths = self.layer_widths();
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
+        let outputs = self.learning.batch as u64 * widths.iter().sum::<u64>();
         let draws = self.evaluation.screening_draws
             + self.evaluation.ranking_draws
             + self.evaluation.usefulness_draws;
-        // The replay memory and its checkpoint. Without episodes it stays empty.
+        [
+            ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
+            ("learning.batch", float_bytes(BATCH_COPIES * outputs)),
+            ("replay.capacity", float_bytes(self.replay_numbers())),
+            ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
+            ("imitation.rows", float_bytes(self.imitation_numbers())),
+        ]
+    }
+
+    /// Returns the widths of the critic's layers, inputs and output included. The actor's are at most as large.
+    fn layer_widths(&self) -> Vec<u64> {
+        let inputs = self.environment.observation.width() + self.learning.privileged_width() + 1;
+        let hidden = self.network.hidden.iter().copied();
+        std::iter::once(inputs)
+            .chain(hidden)
+            .chain([1])
+            .map(|width| width as u64)
+            .collect()
+    }
+
+    /// Returns how many numbers the replay memory and its checkpoint hold.
+    fn replay_numbers(&self) -> u64 {
+        // Without episodes the memory stays empty.
         let capacity = if self.episodes > 0 {
             self.replay.capacity as u64
         } else {
             0
         };
-        let replay = 2 * (self.transition_layout().width() as u64 + 1) * capacity;
-        [
-            ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
-            (
-                "learning.batch",
-                float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>()),
-            ),
-            ("replay.capacity", float_bytes(replay)),
-            ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
-            (
-                "imitation.rows",
-                float_bytes(self.imitation.as_ref().map_or(0, |imitation| {
-                    // Observation, action, weight, end of the episode, and place in the order of a pass.
-                    let row = self.environment.observation.width() as u64 + 5;
-                    imitation
-                        .rows
-                        .saturating_mul(u64::from(imitation.rounds))
-                        .saturating_mul(row)
-                })),
-            ),
-        ]
+        2 * (self.transition_layout().width() as u64 + 1) * capacity
+    }
+
+    /// Returns how many numbers the rows of all rounds of an imitation hold.
+    fn imitation_numbers(&self) -> u64 {
+        let Some(imitation) = &self.imitation else {
+            return 0;
+        };
+        // Observation, action, weight, end of the episode, and place in the order of a pass.
+        let row = self.environment.observation.width() as u64 + 5;
+        imitation
+            .rows
+            .saturating_mul(u64::from(imitation.rounds))
+            .saturating_mul(row)
     }
 }
 
@@ -221,6 +233,21 @@ impl NetworkConfig {
                     [1.0, 4096.0],
                 )
             })
+    }
+}
+
+impl EvaluationConfig {
+    /// Recorded drives are evaluated where drives of everyday traffic are.
+    fn check_drives(&self) -> Result<(), TrainingConfigError> {
+        let (field, problem) = match (&self.drives, &self.drives_sha256) {
+            (Some(_), _) if self.usefulness_draws == 0 => (
+                "evaluation.drives",
+                "needs evaluation.usefulness_draws of at least 1",
+            ),
+            (None, Some(_)) => ("evaluation.drives_sha256", "needs evaluation.drives"),
+            _ => return Ok(()),
+        };
+        Err(TrainingConfigError::field(field, problem))
     }
 }
 

@@ -22,6 +22,7 @@ mod learner;
 mod limits;
 mod observation;
 mod privileged;
+mod recorded_drives;
 mod replay;
 mod report;
 mod reward;
@@ -52,6 +53,7 @@ pub use folder::{
 pub use imitation::{ImitationConfig, ImitationLoss, ImitationRound};
 pub use learner::{Learner, Losses, TrainableNetwork};
 pub use observation::{InputScaling, ObservationConfig, ObservationInputs};
+pub use recorded_drives::RecordedUsefulness;
 pub use replay::{Batch, Transition};
 pub use report::{TrainingResult, format_table};
 pub use runner::{TrainingEvent, parallel_map, train};

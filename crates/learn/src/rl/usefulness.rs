@@ -1,4 +1,5 @@
-//! Usefulness of a policy: the spaces `traffic` and `everyday` without exploration noise, compared with `idm`.
+//! Usefulness of a policy: the spaces `traffic` and `everyday` and recorded drives, without exploration noise, compared
+//! with `idm`.
 
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -12,7 +13,9 @@ use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
 use crumple_spaces::built_in_space;
 
+use super::recorded_drives::{RecordedBenchmark, RecordedUsefulness};
 use super::source::EGO;
+use crumple_evidence::drives::DriveSet;
 
 /// Largest RMS of acceleration and jerk without a penalty, relative to `idm`.
 pub(crate) const MAX_RATIO_TO_IDM: f64 = 1.2;
@@ -54,6 +57,9 @@ pub struct TrafficUsefulness {
     /// Result in as many scenarios of the space `everyday`; none in files of 0.3.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub everyday: Option<EverydayUsefulness>,
+    /// Result in recorded drives; none without them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded: Option<RecordedUsefulness>,
 }
 
 /// Result of a controller in random scenarios of the space `everyday`, which has followers of every kind.
@@ -85,16 +91,21 @@ impl TrafficUsefulness {
             .max(self.mean_time_gap_s - furthest_s)
             .max(0.0);
         let everyday = self.everyday.unwrap_or_default();
+        let recorded = self.recorded.unwrap_or_default();
         let excess: f64 = [
             self.acceleration_times_idm,
             self.jerk_times_idm,
             everyday.jerk_times_idm,
+            recorded.jerk_times_idm,
         ]
         .into_iter()
         .map(|times_idm| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0))
         .sum();
         let faults = self.collisions + self.hard_braking + self.fell_behind + everyday.faults;
-        faults as f64 / self.scenario_count.max(1) as f64 + EXCESS_WEIGHT * (excess + off_s)
+        let recorded_faults = recorded.faults as f64 / recorded.drive_count.max(1) as f64;
+        faults as f64 / self.scenario_count.max(1) as f64
+            + EXCESS_WEIGHT * (excess + off_s)
+            + recorded_faults
     }
 }
 
@@ -107,20 +118,20 @@ pub(crate) struct TrafficBenchmark {
     estimator: EstimatorKind,
     idm_rms: [f64; 2],
     /// Drives of `idm` in the scenarios of `everyday`.
-    idm_everyday: Vec<EverydayOutcome>,
+    idm_everyday: Vec<ComparedOutcome>,
+    recorded: Option<RecordedBenchmark>,
 }
 
-/// Result of a drive in the space `everyday`.
-#[derive(Debug, Clone, Copy, Default)]
-struct EverydayOutcome {
+/// Result of a drive that is compared with that of `idm`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ComparedOutcome {
     is_faulty: bool,
     rms_jerk_mps3: f64,
 }
 
-impl EverydayOutcome {
-    fn new(result: &SimulationResult) -> Self {
-        let measures = measure_usefulness(result);
-        let is_faulty = result.outcome.collision().is_some()
+impl ComparedOutcome {
+    pub(crate) fn new(has_failed: bool, measures: Option<UsefulnessMeasures>) -> Self {
+        let is_faulty = has_failed
             || measures.is_some_and(|measures| {
                 let following = measures.following;
                 !measures.unnecessary.is_empty()
@@ -133,6 +144,22 @@ impl EverydayOutcome {
             rms_jerk_mps3: rms_jerk_mps3.unwrap_or(0.0),
         }
     }
+}
+
+/// Returns the number of drives with a fault in which `idm` has none, and the RMS of jerk relative to that of `idm`.
+pub(crate) fn compare_with_idm(own: &[ComparedOutcome], idm: &[ComparedOutcome]) -> (u64, f64) {
+    let only_here = own
+        .iter()
+        .zip(idm)
+        .filter(|(own, idm)| own.is_faulty && !idm.is_faulty);
+    let [jerk, idm_jerk] = [own, idm].map(|outcomes| {
+        let squares = outcomes.iter().map(|outcome| outcome.rms_jerk_mps3.powi(2));
+        squares.sum::<f64>().sqrt()
+    });
+    (
+        only_here.count() as u64,
+        jerk / idm_jerk.max(f64::MIN_POSITIVE),
+    )
 }
 
 /// Returns the first random scenarios of a built-in space.
@@ -210,11 +237,21 @@ impl TrafficBenchmark {
             estimator,
             idm_rms: [1.0; 2],
             idm_everyday: Vec::new(),
+            recorded: None,
         };
         let idm = BuiltInController::Idm(Default::default()).into_source();
         traffic.idm_rms = traffic.drive_traffic(&idm)?.rms();
         traffic.idm_everyday = traffic.drive_everyday(&idm)?;
         Ok(traffic)
+    }
+
+    /// Adds recorded drives, if there are any.
+    pub(crate) fn with_drives(self, drives: Option<Arc<DriveSet>>) -> Result<Self, RunError> {
+        let recorded = drives.map(|drives| RecordedBenchmark::new(drives, self.estimator));
+        Ok(Self {
+            recorded: recorded.transpose()?,
+            ..self
+        })
     }
 
     pub(crate) fn evaluate(
@@ -228,6 +265,8 @@ impl TrafficBenchmark {
             Some(line) => line_gain(line, self.options(controller))?,
             None => None,
         };
+        let recorded = self.recorded.as_ref();
+        let recorded = recorded.map(|recorded| recorded.evaluate(&self.options(controller)));
         Ok(TrafficUsefulness {
             scenario_count: tally.drives,
             collisions: tally.collisions,
@@ -238,6 +277,7 @@ impl TrafficBenchmark {
             mean_time_gap_s: tally.time_gap_sum_s / tally.moving_drives.max(1) as f64,
             line_gain,
             everyday: Some(self.evaluate_everyday(controller)?),
+            recorded: recorded.transpose()?,
         })
     }
 
@@ -264,10 +304,11 @@ impl TrafficBenchmark {
     fn drive_everyday(
         &self,
         controller: &Arc<dyn ControllerSource>,
-    ) -> Result<Vec<EverydayOutcome>, RunError> {
+    ) -> Result<Vec<ComparedOutcome>, RunError> {
         let runs = self.runs(&self.everyday, &self.options(controller))?;
         Ok(simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            EverydayOutcome::new(&result)
+            let collided = result.outcome.collision().is_some();
+            ComparedOutcome::new(collided, measure_usefulness(&result))
         }))
     }
 
@@ -277,17 +318,10 @@ impl TrafficBenchmark {
         controller: &Arc<dyn ControllerSource>,
     ) -> Result<EverydayUsefulness, RunError> {
         let drives = self.drive_everyday(controller)?;
-        let only_here = drives
-            .iter()
-            .zip(&self.idm_everyday)
-            .filter(|(own, idm)| own.is_faulty && !idm.is_faulty);
-        let [jerk, idm_jerk] = [&drives, &self.idm_everyday].map(|drives| {
-            let squares = drives.iter().map(|drive| drive.rms_jerk_mps3.powi(2));
-            squares.sum::<f64>().sqrt()
-        });
+        let (faults, jerk_times_idm) = compare_with_idm(&drives, &self.idm_everyday);
         Ok(EverydayUsefulness {
-            faults: only_here.count() as u64,
-            jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
+            faults,
+            jerk_times_idm,
         })
     }
 }

@@ -19,9 +19,11 @@ pub enum TuningObjective {
     /// - In `traffic`: the share of drives with a collision, that with hard unnecessary braking (above 4 m/s² where
     ///   less than 3 m/s² was justified), and that in which the vehicle falls behind.
     /// - In `everyday`: the share of drives with one of these faults or any unnecessary braking, if `idm` has none.
+    /// - In recorded drives ([`TuningPlan::drives`](super::TuningPlan::drives)), if there are any: the same share as in
+    ///   `everyday`, where only collisions to blame on the controller count.
     /// - Half the excess over the limits of comfort and time gap: 1.2 times the RMS of acceleration (in `traffic`) and
-    ///   jerk of `idm` (the excess is relative), and a mean time gap in `traffic` from 1.2 to 2.1 s (the excess is in
-    ///   seconds).
+    ///   jerk of `idm` (the excess is relative; jerk also in recorded drives), and a mean time gap in `traffic` from
+    ///   1.2 to 2.1 s (the excess is in seconds).
     Both,
     /// The weighted mean of the collision shares in the spaces.
     Safety,
@@ -46,7 +48,7 @@ pub struct ControllerScore {
     pub objective: f64,
     /// Number of collisions in each space, in their order.
     pub collisions: Vec<u64>,
-    /// Usefulness in `traffic` and `everyday`; none if it was not simulated.
+    /// Usefulness in `traffic`, `everyday` and recorded drives; none if it was not simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traffic: Option<TrafficUsefulness>,
 }
@@ -62,12 +64,12 @@ pub(super) struct ScoringSet {
 }
 
 impl ScoringSet {
-    /// Samples the first `runs` scenarios of each space, and of `traffic` and `everyday` if `with_traffic` is set.
+    /// Samples the first `runs` scenarios of each space. `traffic` measures usefulness.
     pub(super) fn new(
         (objective, spaces): (TuningObjective, &[TuningSpace]),
         (seed, runs): (u64, u64),
         estimator: EstimatorKind,
-        with_traffic: bool,
+        traffic: Option<TrafficBenchmark>,
     ) -> Result<Self, TuneError> {
         let mut samples = Vec::new();
         for TuningSpace { space, weight } in spaces {
@@ -76,9 +78,6 @@ impl ScoringSet {
                 .collect::<Result<_, _>>()?;
             samples.push((scenarios, *weight));
         }
-        let traffic = with_traffic
-            .then(|| TrafficBenchmark::new(seed, runs, estimator))
-            .transpose()?;
         Ok(Self {
             objective,
             estimator,

@@ -1,10 +1,14 @@
 //! Plan of a tuning: everything that determines its results, as a file.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
 
 use super::objective::ScoringSet;
 use super::{SettingSearch, TuneError, TuningObjective, TuningSpace};
+use crate::rl::TrafficBenchmark;
 use crumple_core::digest::sha256;
+use crumple_evidence::drives::DriveSet;
 use crumple_search::falsify::Method;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::random::derived_seed;
@@ -20,6 +24,8 @@ pub struct TuningPlan {
     pub search: SettingSearch,
     /// Spaces in which collisions count, with distinct names; at least one.
     pub spaces: Vec<TuningSpace>,
+    /// Recorded drives in which every candidate must be useful; the same in all three sets. None without them.
+    pub drives: Option<Arc<DriveSet>>,
     /// Settings of the search, and sizes of the sets of scenarios.
     pub config: TuningConfig,
 }
@@ -50,6 +56,8 @@ struct TuningFile<'a> {
     controller: String,
     #[serde(flatten)]
     config: &'a TuningConfig,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    drives_sha256: Option<&'a str>,
     settings: Vec<SettingRecord>,
     spaces: Vec<SpaceRecord<'a>>,
 }
@@ -104,20 +112,31 @@ impl TuningPlan {
             config.runs
         };
         let seed = derived_seed(config.seed, SEED_BASE + kind as u64);
+        let traffic = || {
+            TrafficBenchmark::new(seed, runs, config.estimator)?.with_drives(self.drives.clone())
+        };
         let with_traffic = is_test || config.objective == TuningObjective::Both;
         ScoringSet::new(
             (config.objective, &self.spaces),
             (seed, runs),
             config.estimator,
-            with_traffic,
+            with_traffic.then(traffic).transpose()?,
         )
     }
 
     /// Returns the number of simulations that one candidate needs.
     pub(super) fn runs_per_candidate(&self) -> u64 {
-        let traffic = u64::from(self.config.objective == TuningObjective::Both);
+        let [traffic, drives] = match self.config.objective {
+            TuningObjective::Both => [1, self.drive_count()],
+            TuningObjective::Safety => [0, 0],
+        };
         let spaces = self.spaces.len() as u64 + traffic;
-        self.config.runs.saturating_mul(spaces)
+        self.config.runs.saturating_mul(spaces) + drives
+    }
+
+    pub(super) fn drive_count(&self) -> u64 {
+        let drives = self.drives.as_ref();
+        drives.map_or(0, |drives| drives.drives().len() as u64)
     }
 
     /// Checks everything that would fail later, before any file is written.
@@ -161,6 +180,7 @@ impl TuningPlan {
             crumple: env!("CARGO_PKG_VERSION"),
             controller: self.search.initial().to_arg(),
             config: &self.config,
+            drives_sha256: self.drives.as_ref().map(|drives| drives.identity()),
             settings: searched
                 .map(|setting| SettingRecord {
                     name: setting.field.name,

@@ -7,7 +7,9 @@ use serde::{Deserialize, Serialize};
 use super::objective::ControllerScore;
 use super::plan::TUNE_VERSION;
 use super::{TuneError, TuningConfig, TuningObjective, TuningPlan};
-use crate::rl::{EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficUsefulness};
+use crate::rl::{
+    EXCESS_WEIGHT, MAX_RATIO_TO_IDM, RecordedUsefulness, TIME_GAP_RANGE_S, TrafficUsefulness,
+};
 use crumple_core::digest::sha256;
 use crumple_core::markdown::Markdown;
 use crumple_core::quoting::MarkdownText;
@@ -178,20 +180,30 @@ impl TuningReport {
     }
 
     fn objective_sentence(&self) -> String {
-        let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
         match self.config.objective {
             TuningObjective::Safety => {
                 "The objective is the weighted mean of their collision shares.".to_owned()
             }
-            TuningObjective::Both => format!(
-                "The objective is the weighted mean of their collision shares, plus a penalty. The penalty has the \
+            TuningObjective::Both => self.penalty_sentences(),
+        }
+    }
+
+    fn penalty_sentences(&self) -> String {
+        let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
+        let mut text = format!(
+            "The objective is the weighted mean of their collision shares, plus a penalty. The penalty has the \
                  shares of drives in `traffic` with a collision, with hard unnecessary braking, and in which the \
                  vehicle falls behind. It has the share of drives in `everyday` with one of these faults or any \
                  unnecessary braking, if `idm` has none. The rest is {EXCESS_WEIGHT} times a sum: the relative \
                  excesses of RMS acceleration and of RMS jerk (also in `everyday`) above {MAX_RATIO_TO_IDM} times \
                  those of `idm`, and the distance of the mean time gap from {closest_s} to {furthest_s} s, in seconds."
-            ),
+        );
+        if let Some(RecordedUsefulness { drive_count, .. }) = self.recorded() {
+            text += &format!(
+                " The {drive_count} recorded drives count as scenarios of `everyday` do, and are the same in all sets."
+            );
         }
+        text
     }
 
     /// Writes the table of the test set: one column per controller, one row per measure.
@@ -274,8 +286,31 @@ impl TuningReport {
                     .map(|usefulness| measure(usefulness, self))
             }));
         }
+        rows.extend(self.recorded_rows());
         rows.push(self.test_row("objective", |score| Some(format!("{:.4}", score.objective))));
         rows
+    }
+
+    /// Returns the result of the initial settings in recorded drives; `None` if the tuning has none.
+    fn recorded(&self) -> Option<RecordedUsefulness> {
+        self.test.first()?.traffic?.recorded
+    }
+
+    /// Returns the rows about recorded drives; none if the tuning has none.
+    fn recorded_rows(&self) -> Vec<Vec<String>> {
+        if self.recorded().is_none() {
+            return Vec::new();
+        }
+        let faults = self.test_row("faults in recorded drives", |score| {
+            let recorded = score.traffic?.recorded?;
+            Some(format_share_of(recorded.faults, recorded.drive_count))
+        });
+        let name = "RMS jerk in recorded drives, relative to `idm`";
+        let jerk = self.test_row(name, |score| {
+            let recorded = score.traffic?.recorded?;
+            Some(format!("{:.2}", recorded.jerk_times_idm))
+        });
+        vec![faults, jerk]
     }
 
     fn test_row(
@@ -289,8 +324,12 @@ impl TuningReport {
     }
 
     fn format_share(&self, count: u64) -> String {
-        let interval = RateInterval::clopper_pearson(count, self.config.test_runs, CONFIDENCE);
-        let share = count as f64 / self.config.test_runs.max(1) as f64;
-        format!("{:.2} ({})", 100.0 * share, interval.to_percent_text(2))
+        format_share_of(count, self.config.test_runs)
     }
+}
+
+fn format_share_of(count: u64, runs: u64) -> String {
+    let interval = RateInterval::clopper_pearson(count, runs, CONFIDENCE);
+    let share = count as f64 / runs.max(1) as f64;
+    format!("{:.2} ({})", 100.0 * share, interval.to_percent_text(2))
 }

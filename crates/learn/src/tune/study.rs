@@ -208,7 +208,7 @@ impl TuningPlan {
 
     fn test_runs_per_controller(&self) -> u64 {
         let spaces = self.spaces.len() as u64 + 1;
-        self.config.test_runs.saturating_mul(spaces)
+        self.config.test_runs.saturating_mul(spaces) + self.drive_count()
     }
 
     fn notify(

@@ -26,6 +26,7 @@ fn plan(controller: &str, settings: &[&str], method: Method) -> TuningPlan {
     TuningPlan {
         search: SettingSearch::parse(controller, &requests).unwrap(),
         spaces: [("high-risk", 2.0), ("paper", 1.0)].map(space).into(),
+        drives: None,
         config: TuningConfig {
             objective: TuningObjective::Both,
             method,
@@ -125,6 +126,7 @@ fn a_late_emergency_brake_is_tuned_to_brake_earlier() {
                 space: built_in_space("standing").unwrap(),
                 weight: 1.0,
             }],
+            drives: None,
             config: TuningConfig {
                 objective: TuningObjective::Safety,
                 runs: 20,

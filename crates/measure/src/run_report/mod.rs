@@ -56,6 +56,10 @@ pub struct RunReport<'a> {
     /// One entry per vehicle under test; empty without a trace.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub unnecessary_braking: Vec<UnnecessaryBrakingReport>,
+    /// True if only a vehicle behind causes the unnecessary braking, which then blames no controller. False unless
+    /// [`with_cause_of_braking`](Self::with_cause_of_braking) compared the run.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub brakes_only_with_vehicle_behind: bool,
     /// Vehicles under test that fell behind their leader; empty without a trace.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fell_behind: Vec<usize>,
@@ -147,6 +151,7 @@ impl<'a> RunReport<'a> {
             lane_changes: LaneChanges::list(scenario, result),
             interventions: &result.interventions,
             unnecessary_braking: unnecessary_braking(scenario, result),
+            brakes_only_with_vehicle_behind: false,
             fell_behind: fell_behind(scenario, result),
             levels: Vec::new(),
             missing_levels: Vec::new(),
@@ -195,19 +200,19 @@ impl<'a> RunReport<'a> {
         }
     }
 
-    /// Returns true if a vehicle under test brakes unnecessarily.
+    /// Returns true if a vehicle under test brakes unnecessarily, whatever causes it.
     #[must_use]
     pub fn brakes_unnecessarily(&self) -> bool {
-        self.unnecessary_braking
-            .iter()
-            .any(|vehicle| !vehicle.braking.is_empty())
+        has_braking(&self.unnecessary_braking)
     }
 
-    /// Returns true if a vehicle was evaluated, none brakes unnecessarily, and none falls behind.
+    /// Returns true if a vehicle was evaluated, none falls behind, and none brakes unnecessarily, or only because of a
+    /// vehicle behind.
     #[must_use]
     pub fn is_useful(&self) -> bool {
         let is_evaluated = !self.unnecessary_braking.is_empty();
-        is_evaluated && !self.brakes_unnecessarily() && self.fell_behind.is_empty()
+        let is_blamed = self.brakes_unnecessarily() && !self.brakes_only_with_vehicle_behind;
+        is_evaluated && !is_blamed && self.fell_behind.is_empty()
     }
 
     /// Returns true if a specification is violated.
@@ -215,6 +220,15 @@ impl<'a> RunReport<'a> {
     pub fn violates_specification(&self) -> bool {
         self.specifications.iter().any(|result| !result.satisfied)
     }
+}
+
+/// Returns true if a vehicle under test brakes unnecessarily in a traced result.
+pub(crate) fn brakes_unnecessarily(scenario: &Scenario, result: &SimulationResult) -> bool {
+    has_braking(&unnecessary_braking(scenario, result))
+}
+
+fn has_braking(vehicles: &[UnnecessaryBrakingReport]) -> bool {
+    vehicles.iter().any(|vehicle| !vehicle.braking.is_empty())
 }
 
 /// Returns the unnecessary braking of the vehicles under test, front to rear.

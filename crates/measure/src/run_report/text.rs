@@ -59,8 +59,9 @@ impl RunReport<'_> {
             .filter(|vehicle| !vehicle.braking.is_empty());
         parts.extend(brakings.map(|vehicle| {
             let time_s = vehicle.braking.time_s;
+            let cause = self.describe_cause_of_braking();
             format!(
-                "vehicle {} brakes unnecessarily for {time_s:.2} s",
+                "vehicle {} brakes unnecessarily for {time_s:.2} s{cause}",
                 vehicle.vehicle
             )
         }));
@@ -131,7 +132,15 @@ impl RunReport<'_> {
         self.unnecessary_braking
             .iter()
             .filter_map(UnnecessaryBrakingReport::describe)
-            .map(|line| format!("  {line}"))
+            .map(|line| format!("  {line}{}", self.describe_cause_of_braking()))
+    }
+
+    /// Returns the cause after a description of unnecessary braking; empty if it blames the controller.
+    fn describe_cause_of_braking(&self) -> &'static str {
+        match self.brakes_only_with_vehicle_behind {
+            true => "; only with the vehicle behind: blames no controller",
+            false => "",
+        }
     }
 
     fn describe_fell_behind(&self) -> impl Iterator<Item = String> {

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::lex::is_signal_name;
+use super::motion::split_signal_name;
 
 /// A formula of signal temporal logic.
 #[derive(Debug, Clone, PartialEq)]
@@ -281,6 +282,15 @@ impl Formula {
         let mut names = Vec::new();
         self.collect_names(&mut names);
         names
+    }
+
+    /// Returns the number of vehicles in runs that have all signals of the formula.
+    pub(crate) fn vehicle_count(&self) -> usize {
+        let names = self.signal_names().into_iter();
+        let vehicles = names
+            .filter_map(|name| split_signal_name(name))
+            .map(|(index, _)| index);
+        vehicles.max().map_or(0, |last| last.saturating_add(1))
     }
 
     fn collect_names<'a>(&'a self, names: &mut Vec<&'a str>) {

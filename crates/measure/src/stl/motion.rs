@@ -61,10 +61,15 @@ pub fn motion_signals<'a>(
     Ok(signals)
 }
 
+/// Returns the index of the vehicle and the quantity in the name of a signal.
+pub(super) fn split_signal_name(name: &str) -> Option<(usize, &str)> {
+    let (vehicle, quantity) = name.strip_prefix('v')?.split_once('.')?;
+    Some((vehicle.parse().ok()?, quantity))
+}
+
 /// Returns the samples of a signal; `None` if the run has no such signal.
 fn motion_signal<'a>(trace: &'a Trace, step_s: f64, name: &str) -> Option<Cow<'a, [f64]>> {
-    let (vehicle, quantity) = name.strip_prefix('v')?.split_once('.')?;
-    let vehicle = vehicle.parse::<usize>().ok()?;
+    let (vehicle, quantity) = split_signal_name(name)?;
     let track = trace.vehicles.get(vehicle)?;
     Some(match quantity {
         "position_m" => Cow::Borrowed(&*track.position_m),

@@ -13,7 +13,8 @@ use crumple_controllers::Controllers;
 use crumple_core::field_error::FieldError;
 use crumple_core::text_file::FileError;
 use crumple_evidence::drives::DriveSetError;
-use crumple_sim::engine::AfterCollision;
+use crumple_sim::control::BuiltInController;
+use crumple_sim::engine::{AfterCollision, NamedController};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::file::ScenarioFileError;
 
@@ -57,8 +58,8 @@ pub struct AssessConfig {
     /// Random scenarios of each of these spaces and, 200 at most, of each resample of a fitted space. Default 1000.
     #[serde(default = "default_draws")]
     pub draws: u64,
-    /// Drives of each controller in the space `traffic`, in `high-risk`, and with each of the seven kinds of follower
-    /// (on average) in `followers` and in `everyday`; 0 omits usefulness and kinds of follower. Default 200.
+    /// Drives of each controller in the space `traffic`, in `high-risk`, and with each of the six kinds of follower
+    /// (on average) in `followers` and in `everyday`, and with none; 0 omits all of these. Default 200.
     #[serde(default = "default_everyday_draws")]
     pub everyday_draws: u64,
     /// Seed of the random scenarios. Default 0.
@@ -249,11 +250,16 @@ impl AssessConfig {
     }
 
     /// Returns the built-in configuration for an own controller, in the place of `road`: it is compared with `idm`, or,
-    /// if it is `idm`, with `baseline`. The controller itself is not among `controllers`, because
+    /// if it is `idm`, whatever its name, with `baseline`. The controller itself is not among `controllers`, because
     /// [`AssessmentPlan::new`](super::AssessmentPlan::new) adds it.
     #[must_use]
-    pub fn for_own_controller(name: &str) -> Self {
-        let reference = if name == REFERENCE {
+    pub fn for_own_controller(own: &NamedController) -> Self {
+        let built_in = BuiltInController::from_name(REFERENCE).map(NamedController::from);
+        let is_reference = built_in.is_some_and(|built_in| {
+            own.name == built_in.name || own.source.identity() == built_in.source.identity()
+        });
+        let name = &own.name;
+        let reference = if is_reference {
             OTHER_REFERENCE
         } else {
             REFERENCE

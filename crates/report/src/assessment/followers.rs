@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use crumple_core::markdown::prose_name;
 use crumple_sim::scenario::Scenario;
 use crumple_spaces::{ChoiceSpec, DistributionSpec, ParameterSpec, ScenarioSpace};
 
@@ -14,10 +15,13 @@ const NO_FOLLOWER: &str = "none";
 pub(super) fn follower_drivers<'s>(
     scenarios: impl IntoIterator<Item = &'s Scenario>,
 ) -> BTreeSet<String> {
-    scenarios.into_iter().flat_map(drivers_behind).collect()
+    scenarios
+        .into_iter()
+        .flat_map(drivers_directly_behind)
+        .collect()
 }
 
-fn drivers_behind(scenario: &Scenario) -> impl Iterator<Item = String> {
+fn drivers_directly_behind(scenario: &Scenario) -> impl Iterator<Item = String> {
     let vehicles = scenario.vehicles();
     let behind = (1..vehicles.len())
         .filter(|index| scenario.is_under_test(index - 1) && !scenario.is_under_test(*index));
@@ -57,7 +61,7 @@ pub(super) fn describe_followers(drivers: &[String]) -> String {
     let names: Vec<_> = drivers
         .iter()
         .filter(is_named)
-        .map(|name| format!("`{name}`"))
+        .map(|name| format!("`{}`", prose_name(name)))
         .collect();
     match (names.as_slice(), names.len() < drivers.len()) {
         ([], _) => "no vehicle follows, so no collision from behind can happen".to_owned(),

@@ -1,10 +1,10 @@
 //! Gates, claims about the subject and tests of suites in JUnit format, for build servers and requirements tools.
 
-use super::claims::{ClaimStatus, Domain, StrengthLevel};
+use super::claims::{ClaimStatus, Domain, Property, StrengthLevel};
 use super::parts::{PlannedSuiteResult, SuiteOutcome};
 use super::{AssessmentReport, AssuranceClaim, ClaimRow, GateResult};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
-use crate::suite::{describe_min_margins, describe_verdict};
+use crate::suite::{describe_min_margins, describe_outcome};
 
 /// Renders gates, claims about the subject and tests of suites as test cases. The claims about other controllers are
 /// properties.
@@ -96,7 +96,7 @@ impl AssessmentReport {
         };
         let is_failure = junit_status == JunitStatus::Failed;
         JunitCase {
-            class: format!("crumple.claims.{}", claim.subject.controller.name),
+            class: junit::join_class(&["crumple", "claims", &claim.subject.controller.name]),
             name: row.claim.clone(),
             file: is_failure.then(|| self.failing_scenario(claim)).flatten(),
             verifier: row.claim.clone(),
@@ -125,9 +125,11 @@ impl AssessmentReport {
         }
     }
 
-    /// Returns the file of a scenario that fails against the claim of a gate, if the report has one.
+    /// Returns the file of a scenario that decides against a gate, or that fails against its claim, if the report has
+    /// one.
     fn scenario_against(&self, gate: &GateResult) -> Option<String> {
-        self.failing_scenario(gate.claim.as_ref()?)
+        let file = gate.file.clone();
+        file.or_else(|| self.failing_scenario(gate.claim.as_ref()?))
     }
 
     /// Returns the file of the first scenario that fails against a claim, if the report has one.
@@ -137,7 +139,10 @@ impl AssessmentReport {
         }
         let controller = &claim.subject.controller.name;
         match &claim.domain {
-            Domain::Search { space, .. } | Domain::Space { space } => {
+            // A failure that a search found tells nothing about a rate or a comparison.
+            Domain::Search { space, .. } | Domain::Space { space }
+                if claim.property == Property::NoCollision =>
+            {
                 let mut spaces = self.results.searches.spaces.iter();
                 let searches = spaces.find(|searches| searches.content_id == *space)?;
                 let failure = searches.find(controller)?.failures.first()?;
@@ -176,13 +181,14 @@ fn suite_case(suite: &str, outcome: SuiteOutcome<'_>) -> JunitCase {
         None => JunitStatus::Skipped,
     };
     JunitCase {
-        class: format!("crumple.suites.{suite}.{}", tested.controller),
-        name: format!("{}: {}", outcome.clause.clause, test.name),
+        class: junit::join_class(&["crumple", "suites", suite, &tested.controller]),
+        // Converters of requirements tools identify a case by its name and the last part of its class.
+        name: format!("{suite} {}: {}", outcome.clause.clause, test.name),
         file: outcome.failure.map(|failure| failure.file.clone()),
         verifier: format!("{suite}: {}", test.name),
         requirements: test.requirement.clone(),
         status,
-        message: (status != JunitStatus::Passed).then(|| describe_verdict(&tested.verdict)),
+        message: (status != JunitStatus::Passed).then(|| describe_outcome(tested)),
         output: describe_min_margins(&tested.margins).join("\n"),
     }
 }

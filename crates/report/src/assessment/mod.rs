@@ -165,6 +165,7 @@ pub fn assess(
     let provenance = AssessmentProvenance::new(plan, cache, &plan.compared_config(&results.proofs));
     let mut files = plan.command_files()?;
     files.push(configuration);
+    files.extend(plan.earlier_file(against.map(EarlierAssessment::text)));
     Ok(AssessmentReport::derive(
         plan,
         results,

@@ -21,6 +21,7 @@ use crumple_controllers::{find_and_try, find_built_in, find_for_user};
 use crumple_core::digest::sha256;
 use crumple_core::field_error::FieldError;
 use crumple_core::format_version::check_version;
+use crumple_core::markdown::prose_name;
 use crumple_core::{old_names, regular_file, text_file};
 use crumple_evidence::drives::{DriveSet, DriveSetError};
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
@@ -70,10 +71,10 @@ impl NamedDrives {
         let drives = DriveSet::load(folder, opener)?;
         let name = folder.file_name().unwrap_or(folder.as_os_str());
         Ok(Self {
-            content_id: ContentId {
-                name: name.to_string_lossy().into_owned(),
-                sha256: drives.identity().to_owned(),
-            },
+            content_id: ContentId::with_sha256(
+                name.to_string_lossy(),
+                drives.identity().to_owned(),
+            ),
             drives,
         })
     }
@@ -114,7 +115,7 @@ impl NamedSpace {
 
 #[derive(Debug, Clone)]
 pub(super) struct GivenCertificate {
-    /// File name without extension.
+    /// File name without extension, of plain characters.
     pub(super) name: String,
     pub(super) certificate: Certificate,
     /// Policy that the certificate is about, if found.
@@ -152,9 +153,12 @@ impl AssessmentPlan {
             folder,
             names: BTreeMap::new(),
         };
-        let mut controllers = loading.load_controllers(&config)?;
+        let mut controllers = loading.load_controllers(&mut config)?;
         let first_own = controllers.len();
         for controller in own {
+            name_without_backticks(&mut config.names, &controller.name);
+            let entry = controller.name.clone();
+            let controller = loading.give_name(&config, &entry, controller)?;
             loading.add_controller(&mut controllers, "controllers", controller)?;
         }
         config.controllers = controllers
@@ -183,7 +187,7 @@ impl AssessmentPlan {
             folder: path.parent().unwrap_or(Path::new("")),
             names: BTreeMap::new(),
         };
-        let controllers = loading.load_controllers(&config)?;
+        let controllers = loading.load_controllers(&mut config)?;
         loading.build_plan(config, controllers)
     }
 
@@ -220,12 +224,17 @@ impl AssessmentPlan {
         spaces
     }
 
+    /// Returns the space of the assessment with the name of an identifier.
+    pub(super) fn find_space(&self, id: &ContentId) -> Option<ScenarioSpace> {
+        let mut spaces = self.all_spaces().into_iter();
+        spaces.find(|space| prose_name(space.name()) == id.name)
+    }
+
     /// Returns the kinds of follower of a space of this assessment, or the drivers of the vehicles directly behind a
     /// vehicle under test in its random scenarios; `None` for another space, and if a scenario cannot be drawn.
     pub(super) fn followers_in(&self, space: &ContentId) -> Option<Vec<String>> {
-        let spaces = self.all_spaces();
-        let space = spaces.iter().find(|other| other.name() == space.name)?;
-        let kinds = follower_kinds(space);
+        let space = self.find_space(space)?;
+        let kinds = follower_kinds(&space);
         if !kinds.is_empty() {
             return Some(kinds);
         }
@@ -254,10 +263,7 @@ impl AssessmentPlan {
             ))
         });
         Some(Subject {
-            controller: ContentId {
-                name: controller.name.clone(),
-                sha256,
-            },
+            controller: ContentId::with_sha256(&controller.name, sha256),
             estimator,
         })
     }
@@ -347,6 +353,26 @@ pub(super) fn slug(name: &str) -> String {
             }
         })
         .collect()
+}
+
+/// Returns the name of a certificate: that of its file, or a plain one if this has characters other than ASCII letters,
+/// digits, `-`, `_` and `.`.
+fn certificate_name(path: &Path) -> String {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_.".contains(letter);
+    if name.chars().all(is_plain) {
+        name.into_owned()
+    } else {
+        file_stem(&name)
+    }
+}
+
+/// Names a controller without the backticks of its entry.
+fn name_without_backticks(names: &mut BTreeMap<String, String>, entry: &str) {
+    let name = names.get(entry).map_or(entry, String::as_str);
+    if name.contains('`') {
+        names.insert(entry.to_owned(), prose_name(name));
+    }
 }
 
 /// Returns a name as a file name; different names have different file names.
@@ -495,7 +521,9 @@ impl PlanLoader<'_> {
         let is_named = controllers
             .iter()
             .any(|controller| controller.name == *name);
-        if !is_named && let Ok(controller) = find_for_user(name, self.folder) {
+        if !is_named && let Some(given) = self.names.get(name.as_str()) {
+            name.clone_from(given);
+        } else if !is_named && let Ok(controller) = find_for_user(name, self.folder) {
             let given = self.names.get(&controller.name).cloned();
             *name = given.unwrap_or(controller.name);
         }
@@ -560,7 +588,8 @@ impl PlanLoader<'_> {
     ) -> Result<(), AssessConfigError> {
         let clash = rate_spaces.iter().find(|rate| {
             search_spaces.iter().any(|search| {
-                rate.space.name() == search.space.name() && rate.content_id != search.content_id
+                rate.content_id.name == search.content_id.name
+                    && rate.content_id != search.content_id
             })
         });
         let Some(clash) = clash else {
@@ -630,7 +659,7 @@ impl PlanLoader<'_> {
 
     fn load_controllers(
         &mut self,
-        config: &AssessConfig,
+        config: &mut AssessConfig,
     ) -> Result<Vec<NamedController>, AssessConfigError> {
         self.ensure(!config.controllers.is_empty(), "controllers", || {
             "must name at least one controller".to_owned()
@@ -638,6 +667,9 @@ impl PlanLoader<'_> {
         let mut named = config.names.keys();
         if let Some(unknown) = named.find(|entry| !config.controllers.contains(entry)) {
             return Err(self.field_error("names", not_among_controllers(unknown)));
+        }
+        for entry in &config.controllers {
+            name_without_backticks(&mut config.names, entry);
         }
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
@@ -778,9 +810,8 @@ impl PlanLoader<'_> {
         for (index, name) in names.iter().enumerate() {
             let field = format!("{list}[{index}]");
             let space = self.load_space(&field, name, opener)?;
-            let is_new = spaces
-                .iter()
-                .all(|other| other.space.name() != space.name());
+            let own_name = prose_name(space.name());
+            let is_new = spaces.iter().all(|other| other.content_id.name != own_name);
             self.ensure(is_new, &field, || {
                 format!(
                     "another space has the name `{}`; rename one of them",
@@ -844,9 +875,7 @@ impl PlanLoader<'_> {
                 .map_err(|error| {
                     self.field_error(&field, format!("{}: {error}", path.display()))
                 })?;
-            let name = path
-                .file_stem()
-                .map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+            let name = certificate_name(&path);
             self.ensure(!generated_names.contains(&name), &field, || {
                 format!(
                     "this assessment writes a certificate with the name `{name}`; rename the file"

@@ -17,6 +17,9 @@ use crumple_controllers::Controllers;
 use crumple_sim::engine::NamedController;
 use crumple_suites::TestSuite;
 
+/// Copy of the earlier assessment in the report folder, which the gate `nothing-worse` needs.
+pub(super) const EARLIER_FILE: &str = "earlier.json";
+
 const HEAD: &str = "# The configuration of this report, with all defaults. In this folder:\n";
 
 impl AssessmentPlan {
@@ -44,10 +47,19 @@ impl AssessmentPlan {
     pub(super) fn repeat_command(&self) -> CrumpleCommand {
         let command = CrumpleCommand::new(["assess", CONFIGURATION_FILE, "--out", "../repeated"]);
         if self.needs_earlier_assessment() {
-            command.with_args(["--against", "OLD.json"])
+            command.with_args(["--against", EARLIER_FILE])
         } else {
             command
         }
+    }
+
+    /// Returns the copy of the earlier assessment that [`Self::repeat_command`] names; `None` if it names none.
+    pub(super) fn earlier_file(&self, earlier: Option<&str>) -> Option<CommandFile> {
+        let earlier = earlier.filter(|_| self.needs_earlier_assessment())?;
+        Some(CommandFile {
+            file: EARLIER_FILE.to_owned(),
+            contents: earlier.as_bytes().to_vec(),
+        })
     }
 
     /// Returns what the configuration names and the report folder lacks, in words.
@@ -235,10 +247,15 @@ impl AssessmentPlan {
     }
 
     fn make_suite_portable(&self, name: &mut String) {
-        let mut suites = self.suites.iter();
-        if let Some(planned) = suites.find(|planned| planned.config_name == *name) {
+        if let Some(planned) = self.find_suite(name) {
             *name = planned.to_arg();
         }
+    }
+
+    /// Returns the suite with that name in the configuration.
+    pub(super) fn find_suite(&self, name: &str) -> Option<&PlannedSuite> {
+        let mut suites = self.suites.iter();
+        suites.find(|planned| planned.config_name == name)
     }
 
     /// Returns the space with that name in the configuration.

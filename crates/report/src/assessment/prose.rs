@@ -2,10 +2,12 @@
 
 use maud::{Markup, html};
 
+use crumple_core::markdown::split_prose;
+
 pub(super) fn prose_to_html(text: &str) -> Markup {
     html! {
-        @for (index, piece) in text.split('`').enumerate() {
-            @if index % 2 == 1 { code { (piece) } } @else { (piece) }
+        @for (is_code, piece) in split_prose(text) {
+            @if is_code { code { (piece) } } @else { (piece) }
         }
     }
 }

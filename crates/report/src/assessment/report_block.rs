@@ -82,7 +82,7 @@ impl ReportBlock {
                 html! { dl { @for (name, value) in rows { dt { (name) } dd { (value) } } } }
             }
             Self::Commands(commands) => {
-                html! { p.replay { @for command in commands { (command_to_html(command)) } } }
+                html! { p.replay { @for command in commands { (command_to_html(command)) br; } } }
             }
             Self::Figure(drawing, text) => html! {
                 figure {

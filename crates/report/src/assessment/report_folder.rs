@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::AssessmentPlan;
 use super::parts::HARM_RUNS_FILE;
+use super::portable_config::EARLIER_FILE;
 use super::report::{REPORT_FILES, REPORT_FOLDERS, REPORT_KIND};
 use crumple_store::disk::DiskError;
 use crumple_store::output_folder::{EarlierFiles, OutputError, OutputFolder};
@@ -77,7 +78,9 @@ impl ReportFolder {
     /// [`ReportFolderError`] if such a file has changed, or crumple did not write it.
     pub fn check(&self, plan: &AssessmentPlan) -> Result<(), ReportFolderError> {
         let harm_runs = plan.config.harm.as_ref().map(|_| HARM_RUNS_FILE);
-        Ok(self.0.check(harm_runs.as_slice())?)
+        let earlier = plan.needs_earlier_assessment().then_some(EARLIER_FILE);
+        let names: Vec<&str> = harm_runs.into_iter().chain(earlier).collect();
+        Ok(self.0.check(&names)?)
     }
 
     /// Writes the files of a report ([`super::AssessmentReport::files`]) and their listing, and removes those of the

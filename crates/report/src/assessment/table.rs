@@ -1,9 +1,11 @@
 //! Tables that render as HTML and as Markdown.
 
+use std::fmt::Display;
+
 use maud::{Markup, html};
 
-use super::prose::prose_to_html;
-use crumple_core::markdown::Markdown;
+use super::rich_text::RichText;
+use crumple_core::markdown::{Inline, Markdown};
 
 /// A table of text. Cells may have a mark, so that failures are visible without colour.
 #[derive(Debug, Clone)]
@@ -14,7 +16,7 @@ pub(super) struct ReportTable {
 
 #[derive(Debug, Clone)]
 pub(super) struct ReportCell {
-    text: String,
+    text: RichText,
     mark: CellMark,
 }
 
@@ -63,31 +65,38 @@ impl ReportCell {
     }
 
     pub(super) fn text(text: impl ToString) -> Self {
+        Self::with_mark(text, CellMark::Neutral)
+    }
+
+    /// Creates a cell of code, such as a command.
+    pub(super) fn code(text: impl Display) -> Self {
         Self {
-            text: text.to_string(),
+            text: RichText::code(text),
             mark: CellMark::Neutral,
         }
     }
 
     pub(super) fn number(number: impl ToString) -> Self {
-        Self {
-            text: number.to_string(),
-            mark: CellMark::Number,
-        }
+        Self::with_mark(number, CellMark::Number)
     }
 
     pub(super) fn with_mark(text: impl ToString, mark: CellMark) -> Self {
         Self {
-            text: text.to_string(),
+            text: text.to_string().into(),
             mark,
         }
     }
 
     pub(super) fn with_verdict(text: impl ToString, good: bool) -> Self {
-        Self {
-            text: text.to_string(),
-            mark: if good { CellMark::Good } else { CellMark::Bad },
-        }
+        Self::with_mark(text, if good { CellMark::Good } else { CellMark::Bad })
+    }
+
+    fn to_html(&self) -> Markup {
+        html! { (self.mark.sign()) (self.text.to_html()) }
+    }
+
+    fn to_inline(&self) -> Inline {
+        self.text.append_to(Inline::prose(self.mark.sign()))
     }
 }
 
@@ -150,9 +159,9 @@ impl ReportTable {
                         @for row in &self.rows { tr {
                             @for (column, cell) in row.iter().enumerate() {
                                 @if column == 0 {
-                                    th scope="row" { (cell.mark.sign()) (prose_to_html(&cell.text)) }
+                                    th scope="row" { (cell.to_html()) }
                                 } @else {
-                                    td class=[cell.mark.css_class()] { (cell.mark.sign()) (prose_to_html(&cell.text)) }
+                                    td class=[cell.mark.css_class()] { (cell.to_html()) }
                                 }
                             }
                         } }
@@ -170,11 +179,8 @@ impl ReportTable {
                 _ => "---",
             })
             .collect();
-        let rows = self.rows.iter().map(|row| {
-            row.iter()
-                .map(|cell| cell.mark.sign().to_owned() + &cell.text)
-                .collect()
-        });
+        let rows = self.rows.iter();
+        let rows = rows.map(|row| row.iter().map(ReportCell::to_inline).collect());
         out.table(&self.header, &alignments, rows);
     }
 }

@@ -1,8 +1,6 @@
 //! The result of a suite as JUnit, for build servers.
 
-use super::description::{
-    describe_min_margins, describe_verdict, describe_warning, describe_worst_in_tolerance,
-};
+use super::description::{describe_min_margins, describe_outcome, describe_warning};
 use crate::junit::{self, JunitCase, JunitStatus, JunitSuite};
 use crumple_suites::{ControllerResult, SuiteResult, TestResult, TestVerdict};
 
@@ -25,29 +23,22 @@ pub fn render_junit(result: &SuiteResult) -> String {
 }
 
 fn junit_case(suite: &str, test: &TestResult, tested: &ControllerResult) -> JunitCase {
-    let within = tested
-        .worst_in_tolerance
-        .as_ref()
-        .filter(|within| within.verdict.is_failure());
+    let status = match &tested.verdict {
+        _ if tested.is_passed() => JunitStatus::Passed,
+        TestVerdict::Passed | TestVerdict::Failed { .. } | TestVerdict::Braked { .. } => {
+            JunitStatus::Failed
+        }
+        TestVerdict::ControllerFailed { .. } => JunitStatus::Error,
+        TestVerdict::Refused { .. } => JunitStatus::Skipped,
+    };
     JunitCase {
-        class: format!("crumple.suites.{suite}.{}", tested.controller),
+        class: junit::join_class(&["crumple", "suites", suite, &tested.controller]),
         name: format!("{}: {}", test.name, tested.controller),
         file: None,
         verifier: test.name.clone(),
         requirements: test.requirement.clone(),
-        status: match &tested.verdict {
-            TestVerdict::Passed if within.is_none() => JunitStatus::Passed,
-            TestVerdict::Passed | TestVerdict::Failed { .. } | TestVerdict::Braked { .. } => {
-                JunitStatus::Failed
-            }
-            TestVerdict::ControllerFailed { .. } => JunitStatus::Error,
-            TestVerdict::Refused { .. } => JunitStatus::Skipped,
-        },
-        message: match within {
-            _ if !tested.verdict.is_passed() => Some(describe_verdict(&tested.verdict)),
-            Some(within) => Some(describe_worst_in_tolerance(within)),
-            None => None,
-        },
+        status,
+        message: (status != JunitStatus::Passed).then(|| describe_outcome(tested)),
         output: describe_output(tested),
     }
 }

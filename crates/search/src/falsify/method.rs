@@ -142,7 +142,9 @@ impl Method {
             Self::Halton => "a randomised Halton sequence",
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
-            Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
+            Self::Auto => {
+                "several methods that share the budget: simple inputs, CMA-ES, and bisection between different outcomes"
+            }
             Self::Custom(_) => "a method of the program that uses the library",
         }
     }

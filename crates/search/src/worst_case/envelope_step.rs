@@ -286,24 +286,22 @@ impl EnvelopeStep<'_> {
         objective: AttackObjective,
         peak: usize,
     ) {
+        let is_least_peak = objective == AttackObjective::LeastPeak;
         // Selects a mild one among profiles with the least peak.
-        let weight = if objective == AttackObjective::LeastPeak {
-            1e-4
-        } else {
-            1.0
-        } * simulator.cell_s();
+        let weight_per_s = if is_least_peak { 1e-4 } else { 1.0 };
+        let weight = weight_per_s * simulator.cell_s();
         for (cell, &accel_mps2) in self.profile_mps2.iter().enumerate() {
             let terms = self.hats.terms(cell);
             program.add_squared_cost(&terms, weight);
             for (knot, share) in terms {
                 program.add_linear_cost(knot, 2.0 * weight * accel_mps2 * share);
             }
-            if objective == AttackObjective::LeastPeak {
+            if is_least_peak {
                 let [(left, a), (right, b)] = terms;
                 program.add_inequality(&[(left, -a), (right, -b), (peak, -1.0)], accel_mps2);
             }
         }
-        if objective == AttackObjective::LeastPeak {
+        if is_least_peak {
             program.add_linear_cost(peak, 1.0);
         }
     }

@@ -43,6 +43,41 @@ struct Descent {
     predicted_margin_m: f64,
 }
 
+/// Bisection of the depth of a pulse between one that collides and one that does not.
+struct DepthBisection {
+    /// The pulse that collides, and its simulation.
+    pulse: Pulse,
+    point: SimulatedBraking,
+    /// Depth with which it does not collide, in m/s².
+    safe_depth_mps2: f64,
+}
+
+impl DepthBisection {
+    fn new((pulse, point): (Pulse, SimulatedBraking)) -> Self {
+        Self {
+            safe_depth_mps2: pulse.shallower_depth_mps2(),
+            pulse,
+            point,
+        }
+    }
+
+    /// Returns the pulse in the middle.
+    fn half(&self) -> Pulse {
+        self.pulse
+            .with_depth(0.5 * (self.pulse.depth_mps2 + self.safe_depth_mps2))
+    }
+
+    /// Continues with the half of the range in which the collisions begin.
+    fn narrow(&mut self, half: Pulse, point: SimulatedBraking) {
+        if point.collides {
+            self.pulse = half;
+            self.point = point;
+        } else {
+            self.safe_depth_mps2 = half.depth_mps2;
+        }
+    }
+}
+
 /// Returns the best profile found with about `budget` simulations; `None` without a collision.
 pub(super) fn attack(
     simulator: &mut ProfileSimulator<'_>,
@@ -132,12 +167,10 @@ impl AttackSearch<'_, '_> {
                 .take(MAX_STARTS)
                 .collect());
         }
-        let mut mildest = self.select_mildest(all);
-        self.bisect(&mut mildest)?;
-        let mut points: Vec<SimulatedBraking> = mildest
-            .into_iter()
-            .map(|(_, point)| self.trim(point))
-            .collect();
+        let mildest = self.select_mildest(all);
+        let reduced = self.reduce_depths(mildest)?;
+        let mut points: Vec<SimulatedBraking> =
+            reduced.into_iter().map(|point| self.trim(point)).collect();
         points.sort_by(|a, b| self.compare_costs(a, b));
         points.truncate(MAX_STARTS);
         Ok(points)
@@ -168,36 +201,26 @@ impl AttackSearch<'_, '_> {
             .total_cmp(&self.cost(&b.cells_mps2))
     }
 
-    /// Reduces the depth of colliding pulses while they collide.
-    fn bisect(&mut self, pulses: &mut [(Pulse, SimulatedBraking)]) -> Result<(), AttackError> {
-        let mut misses_mps2: Vec<f64> = pulses
-            .iter()
-            .map(|(pulse, _)| pulse.shallower_depth_mps2())
-            .collect();
+    /// Reduces the depths of colliding pulses by bisection, and returns the shallowest that collide.
+    fn reduce_depths(
+        &mut self,
+        pulses: Vec<(Pulse, SimulatedBraking)>,
+    ) -> Result<Vec<SimulatedBraking>, AttackError> {
+        let mut bisections: Vec<DepthBisection> =
+            pulses.into_iter().map(DepthBisection::new).collect();
         for _ in 0..BISECTIONS {
-            let halves: Vec<Pulse> = pulses
-                .iter()
-                .zip(&misses_mps2)
-                .map(|((pulse, _), misses_mps2)| {
-                    pulse.with_depth(0.5 * (pulse.depth_mps2 + misses_mps2))
-                })
-                .collect();
+            let halves: Vec<Pulse> = bisections.iter().map(DepthBisection::half).collect();
             let profiles = halves.iter().map(|half| half.cells_mps2(self.simulator));
             let simulated = self.simulate_profiles(profiles.collect())?;
-            for (((pulse, misses_mps2), half), point) in pulses
-                .iter_mut()
-                .zip(&mut misses_mps2)
-                .zip(halves)
-                .zip(simulated)
-            {
-                if point.collides {
-                    *pulse = (half, point)
-                } else {
-                    *misses_mps2 = half.depth_mps2
-                }
+            let trials = halves.into_iter().zip(simulated);
+            for (bisection, (half, point)) in bisections.iter_mut().zip(trials) {
+                bisection.narrow(half, point);
             }
         }
-        Ok(())
+        Ok(bisections
+            .into_iter()
+            .map(|bisection| bisection.point)
+            .collect())
     }
 
     /// Steps from one profile until `until` simulations or no improvement.

@@ -74,7 +74,7 @@ struct LeaderPrediction {
 impl BuiltIn for CompetentHuman {
     const NAME: &'static str = "competent-human";
     const SUMMARY: &'static str = "reference driver of UN R157: brakes at 0.774 g from 0.75 s after the vehicle ahead \
-    brakes, cuts in within 2 s, or cuts out";
+    brakes, cuts in at a time to collision of up to 2 s, or cuts out";
     const ROLE: Role = Role::Reference;
     type Settings = CompetentHumanSettings;
     type Driver = Self;

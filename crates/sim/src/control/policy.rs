@@ -180,7 +180,7 @@ macro_rules! committed_policy {
 
 committed_policy! {
     /// The committed policy that imitates `predictive`.
-    RoadPolicy, "road", Policy::road, "policy that imitates `predictive` in the built-in spaces (preset road)"
+    RoadPolicy, "road", Policy::road, "policy that imitates `predictive` in ten of the built-in spaces (preset road)"
 }
 committed_policy! {
     /// The committed reference policy.

@@ -1,7 +1,7 @@
 //! Presets: settings of built-in controllers under a name.
 //!
-//! `idm-damped` is the Intelligent Driver Model with twice the acceleration, so that no oscillation grows in a line of
-//! such vehicles.
+//! `idm-damped` is the Intelligent Driver Model with twice the acceleration, so that no oscillation of 0.3 m/s grows in
+//! a line of such vehicles.
 //!
 //! The others are emergency brakes of production cars. Source: trials behind a stopped leader without braking by
 //! a driver (NHTSA, final rule of FMVSS 127, 89 FR 39686, table 16). The experiment `car_brakes` fits one number to
@@ -58,8 +58,8 @@ const IDM_DAMPED: IdmSettings = IdmSettings {
 pub static CONTROLLER_PRESETS: [ControllerPreset; 7] = [
     ControllerPreset {
         name: "idm-damped",
-        summary: "idm with accel_mps2=1.5: no oscillation grows in a line of such vehicles (largest gain 0.999, with \
-                  the true state, at 4 to 30 m/s)",
+        summary: "idm with accel_mps2=1.5: no oscillation of 0.3 m/s grows in a line of such vehicles (largest gain \
+                  0.999, with the true state, at 4 to 30 m/s)",
         controller: BuiltInController::Idm(IDM_DAMPED),
         domain: None,
     },

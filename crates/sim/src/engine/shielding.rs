@@ -17,8 +17,8 @@ const NOISE_SIGMAS: f64 = 6.0;
 /// Gap that a two-sided shield keeps on either side, in metres, besides rounding.
 const MIN_TWO_SIDED_MARGIN_M: f64 = 0.05;
 
-/// Acceleration of a follower whose brake has not fired, in m/s²: that of holding a speed, and of coasting in gear (UN
-/// R157, competent driver: 0.4).
+/// Acceleration of a follower whose brake has not fired, in m/s²: enough to hold a speed. A car that coasts in gear is
+/// outside the default class (0.4; UN R157, competent driver).
 const DEFAULT_DRIFT_MPS2: f64 = 0.3;
 
 /// Deceleration of a follower that a two-sided shield assumes at least, in m/s².

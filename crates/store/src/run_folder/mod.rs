@@ -37,6 +37,7 @@ use serde::de::DeserializeOwned;
 use crate::disk::{self, DiskError};
 use crate::program::{self, OTHER_BUILD_MESSAGE};
 use crumple_core::digest::sha256;
+use crumple_core::text_file;
 use manifest::{Manifest, sorted_entries};
 use state::FileState;
 
@@ -201,6 +202,29 @@ impl RunFolderError {
         Self::Encoding {
             file,
             problem: problem.to_string(),
+        }
+    }
+
+    /// Names the first line in which the texts of `compared` differ, if this is the error about another configuration.
+    /// `compared` receives the configuration file of the existing run.
+    #[must_use]
+    pub(crate) fn with_difference(
+        self,
+        compared: impl FnOnce(&str) -> Option<[String; 2]>,
+    ) -> Self {
+        let Self::OtherConfiguration {
+            path,
+            kind,
+            difference,
+        } = self
+        else {
+            return self;
+        };
+        let texts = text_file::read(&path).ok().and_then(|text| compared(&text));
+        Self::OtherConfiguration {
+            path,
+            kind,
+            difference: texts.map_or(difference, |[there, now]| describe_difference(&there, &now)),
         }
     }
 

@@ -54,6 +54,37 @@ impl CellSides {
     }
 }
 
+/// States that move until the next decision.
+struct MovingStates {
+    motions: Vec<StateMotion>,
+    /// Range of the states along each axis, before they move.
+    extent: [[f64; 2]; AXIS_COUNT],
+    /// Smallest height of the states above the boundary, in metres.
+    above_m: f64,
+}
+
+impl MovingStates {
+    /// Replaces `worst` by the simplex of a cell and the motion that miss more height, if there are any.
+    fn find_worse_in_cell(&self, table: &HeightTable, cell: Node, worst: &mut Shortfall) {
+        let sides = CellSides::new(table.axes(), cell, &self.extent);
+        for (order, axes_in_order) in table.orders().iter().enumerate() {
+            let slopes = simplex_slopes(table, cell, axes_in_order);
+            for motion in &self.motions {
+                let change = worst_change(slopes, motion, &sides);
+                let missing_m = missing_height_m(slopes, change, motion.growth_m, self.above_m);
+                if missing_m > worst.missing_m {
+                    *worst = Shortfall {
+                        missing_m,
+                        cell,
+                        order,
+                        change,
+                    };
+                }
+            }
+        }
+    }
+}
+
 /// Cells of an axis, with both ends.
 #[derive(Clone, Copy)]
 struct CellRange {
@@ -72,32 +103,15 @@ impl BoundarySearch<'_> {
     ) -> Shortfall {
         let motions = self.state_motions(table.axes(), points, command);
         let [first_axis, second_axis] = touched_cells(table.axes(), &motions);
-        let extent = extent(&motions);
-        let mut worst = Shortfall {
-            missing_m: f64::NEG_INFINITY,
-            cell: [0; 2],
-            order: 0,
-            change: [0.0; 2],
+        let states = MovingStates {
+            extent: extent(&motions),
+            motions,
+            above_m,
         };
+        let mut worst = Shortfall::NONE;
         for i in first_axis.first..=first_axis.last {
             for j in second_axis.first..=second_axis.last {
-                let cell = [i, j];
-                let sides = CellSides::new(table.axes(), cell, &extent);
-                for (order, axes_in_order) in table.orders().iter().enumerate() {
-                    let slopes = simplex_slopes(table, cell, axes_in_order);
-                    for motion in &motions {
-                        let change = worst_change(slopes, motion, &sides);
-                        let missing_m = missing_height_m(slopes, change, motion.growth_m, above_m);
-                        if missing_m > worst.missing_m {
-                            worst = Shortfall {
-                                missing_m,
-                                cell,
-                                order,
-                                change,
-                            };
-                        }
-                    }
-                }
+                states.find_worse_in_cell(table, [i, j], &mut worst);
             }
         }
         worst

@@ -10,10 +10,13 @@
 mod actions;
 mod entities;
 mod polyline;
+mod report;
 mod road;
 mod storyboard;
 
 use std::io;
+
+pub use report::{ExportReport, ExportedController, ExportedScenario};
 
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};

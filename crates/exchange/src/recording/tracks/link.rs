@@ -90,22 +90,24 @@ struct Absence {
 }
 
 impl Absence {
-    fn new(a: &TrackPoint, b: &TrackPoint) -> Self {
-        let seconds = (b.time_ms - a.time_ms) as f64 / 1000.0;
-        let speeds = a.speed_mps.zip(b.speed_mps);
+    /// Returns the absence between two rows of a vehicle.
+    fn new(before: &TrackPoint, after: &TrackPoint) -> Self {
+        let duration_s = (after.time_ms - before.time_ms) as f64 / 1000.0;
+        let [length_m, other_length_m] = [before, after].map(|point| point.length_m.unwrap_or(0.0));
         Self {
-            lanes: [a.lane, b.lane],
-            decreases: a.position_decreases,
-            from_ms: a.time_ms,
-            to_ms: b.time_ms,
-            front_m: [a.front_m, b.front_m],
-            length_m: a.length_m.unwrap_or(0.0).max(b.length_m.unwrap_or(0.0)),
-            speed_mps: speeds.map_or([0.0, f64::INFINITY], |(a, b)| {
-                [
-                    (a.min(b) - BRAKE_MPS2 * seconds).max(0.0),
-                    a.max(b) + ACCEL_MPS2 * seconds,
-                ]
-            }),
+            lanes: [before.lane, after.lane],
+            decreases: before.position_decreases,
+            from_ms: before.time_ms,
+            to_ms: after.time_ms,
+            front_m: [before.front_m, after.front_m],
+            length_m: length_m.max(other_length_m),
+            speed_mps: match (before.speed_mps, after.speed_mps) {
+                (Some(first_mps), Some(last_mps)) => [
+                    (first_mps.min(last_mps) - BRAKE_MPS2 * duration_s).max(0.0),
+                    first_mps.max(last_mps) + ACCEL_MPS2 * duration_s,
+                ],
+                _ => [0.0, f64::INFINITY],
+            },
         }
     }
 
@@ -277,27 +279,28 @@ fn absences(points: &[TrackPoint], order: &[RowEntry], blip_ms: i64) -> Vec<Abse
     let mut absences = Vec::new();
     for track in points.chunk_by(|a, b| a.track == b.track) {
         let mut located = track.iter().filter(|point| point.position_m.is_some());
-        let Some(mut a) = located.next() else {
+        let Some(mut before) = located.next() else {
             continue;
         };
-        let mut next = instants.partition_point(|&instant| instant <= a.time_ms);
-        let mut left: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
-        for b in located {
-            if a.lane != b.lane {
-                left.insert(a.lane, a);
-                let before = left
-                    .get(&b.lane)
-                    .filter(|before| b.time_ms - before.time_ms <= blip_ms);
-                absences.extend(before.map(|before| Absence::new(before, b)));
+        // Index of the first instant after `before`, and the last row in each lane that the vehicle left.
+        let mut next = instants.partition_point(|&instant| instant <= before.time_ms);
+        let mut last_in_lane: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
+        for after in located {
+            if before.lane != after.lane {
+                last_in_lane.insert(before.lane, before);
+                let last = last_in_lane
+                    .get(&after.lane)
+                    .filter(|last| after.time_ms - last.time_ms <= blip_ms);
+                absences.extend(last.map(|last| Absence::new(last, after)));
             }
             if instants
                 .get(next)
-                .is_some_and(|&instant| instant < b.time_ms)
+                .is_some_and(|&instant| instant < after.time_ms)
             {
-                absences.push(Absence::new(a, b));
+                absences.push(Absence::new(before, after));
             }
-            a = b;
-            next += later_instants(instants.get(next..).unwrap_or_default(), a.time_ms);
+            before = after;
+            next += later_instants(instants.get(next..).unwrap_or_default(), before.time_ms);
         }
     }
     absences.sort_by_key(|absence| absence.from_ms);

@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::retrain::RegressionSpaceResult;
-use crate::rl::EverydayUsefulness;
+use crate::rl::{EverydayUsefulness, RecordedUsefulness};
 
 fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> RegressionResults {
     RegressionResults {
@@ -146,6 +146,11 @@ fn one_measure_of_usability_cannot_be_traded_for_another() {
             faults: 5,
             jerk_times_idm: 1.2,
         }),
+        recorded: Some(RecordedUsefulness {
+            drive_count: 9,
+            faults: 1,
+            jerk_times_idm: 1.1,
+        }),
     };
     let before = RegressionResults {
         usefulness: Some(useful),
@@ -226,6 +231,19 @@ fn one_measure_of_usability_cannot_be_traded_for_another() {
         ..useful
     });
     assert_eq!(everyday, ["in traffic faults in everyday 6 instead of 5"]);
+    let recorded = worse(TrafficUsefulness {
+        recorded: Some(RecordedUsefulness {
+            drive_count: 9,
+            faults: 2,
+            jerk_times_idm: 1.2,
+        }),
+        ..useful
+    });
+    assert_eq!(
+        recorded,
+        ["in traffic faults in recorded drives 2 instead of 1, \
+             rms jerk in recorded drives, times idm 1.2 instead of 1.1"]
+    );
     let jerk = worse(TrafficUsefulness {
         hard_braking: 0,
         jerk_times_idm: 1.1,

@@ -2,9 +2,7 @@
 
 use std::fmt::Write;
 
-use super::super::acceptance::{
-    FailureChange, TRAFFIC_MEASURES, discordant_pairs, to_thousandths, traffic_measures,
-};
+use super::super::acceptance::{FailureChange, TRAFFIC_MEASURES, discordant_pairs, to_thousandths};
 use super::super::plan::RetrainingSettings;
 use super::super::regression_spaces::SIGNIFICANCE;
 use super::super::round::Round;
@@ -275,17 +273,11 @@ fn write_traffic_measures(
     first: &TrafficUsefulness,
     retrained: &TrafficUsefulness,
 ) {
-    let values = traffic_measures(first)
-        .into_iter()
-        .zip(traffic_measures(retrained));
-    let measured = TRAFFIC_MEASURES
-        .into_iter()
-        .zip(values)
-        .map(|(name, (first, retrained))| {
-            let [first, retrained] =
-                [first, retrained].map(|value| to_thousandths(value).to_string());
-            vec![name.to_owned(), first, retrained]
-        });
+    let measured = TRAFFIC_MEASURES.iter().filter_map(|measure| {
+        let [first, retrained] = [(measure.value)(first)?, (measure.value)(retrained)?];
+        let [first, retrained] = [first, retrained].map(|value| to_thousandths(value).to_string());
+        Some(vec![measure.name.to_owned(), first, retrained])
+    });
     let [first_gain, retrained_gain] = [first, retrained].map(|usefulness| {
         usefulness
             .line_gain

@@ -42,6 +42,9 @@ pub struct EvidenceSource {
     pub file: Option<String>,
     /// SHA-256 of the certificate in that file, in hexadecimal, as `crumple check` prints it.
     pub sha256: Option<String>,
+    /// Seed of the random runs behind a bound of a rate or a comparison; absent for other evidence.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
 }
 
 impl RandomScenario {
@@ -58,6 +61,13 @@ impl EvidenceSource {
             what: what.into(),
             file: None,
             sha256: None,
+            seed: None,
         }
+    }
+
+    /// Sets the seed of the random runs.
+    #[must_use]
+    pub fn with_seed(self, seed: Option<u64>) -> Self {
+        Self { seed, ..self }
     }
 }

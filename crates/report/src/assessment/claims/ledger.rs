@@ -49,7 +49,9 @@ impl SecondaryEvidence {
         self.rule == InferenceRule::BoundsDecide
             || matches!(
                 self.strength,
-                Strength::Counted { .. } | Strength::NotShownByCounting { .. }
+                Strength::Counted { .. }
+                    | Strength::NotShownByCounting { .. }
+                    | Strength::CountedAgainst { .. }
             )
     }
 
@@ -317,6 +319,11 @@ impl CountPriority {
             Strength::NotShownByCounting {
                 confidence_percent,
                 runs,
+            }
+            | Strength::CountedAgainst {
+                confidence_percent,
+                runs,
+                ..
             } => Some(Self {
                 confidence_percent: confidence_percent.value(),
                 runs,

@@ -13,7 +13,7 @@ pub enum StrengthLevel {
     Bounded,
     /// The claim held in all stated runs; others may fail.
     Tested,
-    /// A run contradicts the claim, or a bound does.
+    /// A run, a bound or counted runs of two controllers contradict the claim.
     Refuted,
     /// Evidence was gathered, and does not decide the claim.
     NotShown,

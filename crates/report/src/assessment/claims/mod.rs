@@ -11,6 +11,7 @@ mod level;
 mod strength;
 
 use crumple_core::digest::sha256;
+use crumple_core::markdown::prose_name;
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::Scenario;
 use serde::{Deserialize, Serialize};
@@ -27,7 +28,7 @@ pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ContentId {
-    /// Name for readers.
+    /// Name for readers, without backticks.
     pub name: String,
     /// SHA-256 of the content, in hexadecimal.
     pub sha256: String,
@@ -35,16 +36,20 @@ pub struct ContentId {
 
 impl ContentId {
     /// Creates an identifier from the content.
-    pub fn new(name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
+    pub fn new(name: impl AsRef<str>, content: impl AsRef<[u8]>) -> Self {
+        Self::with_sha256(name, sha256(content))
+    }
+
+    pub(super) fn with_sha256(name: impl AsRef<str>, sha256: String) -> Self {
         Self {
-            name: name.into(),
-            sha256: sha256(content),
+            name: prose_name(name.as_ref()),
+            sha256,
         }
     }
 
     /// Creates an identifier from all fields that a scenario states. New optional fields of the format do not change
     /// it.
-    pub fn from_scenario(name: impl Into<String>, scenario: &Scenario) -> Self {
+    pub fn from_scenario(name: impl AsRef<str>, scenario: &Scenario) -> Self {
         let spec = scenario.spec();
         Self::new(
             name,

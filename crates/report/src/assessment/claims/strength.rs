@@ -92,6 +92,19 @@ pub enum Strength {
         /// Number of runs.
         runs: u64,
     },
+    /// Counted runs show at that confidence level that the subject fails more often than another controller.
+    CountedAgainst {
+        /// Runs in which only the subject failed.
+        only_own: u64,
+        /// Runs in which only the other controller failed, or gave no answer.
+        only_other: u64,
+        /// Runs without an answer of the subject, which count as its failures.
+        unanswered: u64,
+        /// Confidence level, in percent.
+        confidence_percent: Rounded<1>,
+        /// Number of runs.
+        runs: u64,
+    },
     /// Failures of the subject and of another controller in the same runs.
     Compared {
         /// Failures of the subject.
@@ -100,11 +113,21 @@ pub enum Strength {
         other: u64,
         /// Number of runs.
         runs: u64,
+        /// Runs without an answer of the subject, which count as its failures.
+        #[serde(default)]
+        unanswered: u64,
     },
     /// The largest measured gain; the claim allows at most 1.000.
     Gain {
         /// Largest gain.
         largest: Rounded<3>,
+        /// Number of operating points.
+        points: u64,
+    },
+    /// Vehicles collided, or an oscillation grew, at some operating points: mean speeds and frequencies.
+    FailedPoints {
+        /// Number of operating points with a collision or a gain above the limit.
+        failures: u64,
         /// Number of operating points.
         points: u64,
     },
@@ -240,29 +263,29 @@ impl Strength {
     }
 
     /// Returns the strength of the claim to fail in fewer of the same runs than another controller. The arguments are
-    /// the failures of each, and the number of its runs that ended early, whose results are unknown.
+    /// the failures of each, and the number of its runs that ended early, whose results are unknown; the number of all
+    /// runs, and of those without an answer of the subject, which are among its failures.
     #[must_use]
     pub(crate) fn from_paired_counts(
         [own, own_ended_by_others]: [u64; 2],
         [other, other_ended_by_others]: [u64; 2],
         runs: u64,
+        unanswered: u64,
     ) -> Self {
+        let compared = |own, other| Self::Compared {
+            own,
+            other,
+            runs,
+            unanswered,
+        };
         let own_most = own + own_ended_by_others;
         let other_most = other + other_ended_by_others;
         if own_ended_by_others + other_ended_by_others == 0 {
-            Self::Compared { own, other, runs }
+            compared(own, other)
         } else if own_most < other {
-            Self::Compared {
-                own: own_most,
-                other,
-                runs,
-            }
+            compared(own_most, other)
         } else if own > other_most {
-            Self::Compared {
-                own,
-                other: other_most,
-                runs,
-            }
+            compared(own, other_most)
         } else {
             Self::NotShown
         }
@@ -310,6 +333,7 @@ impl Strength {
     pub(crate) fn is_refutation(&self) -> bool {
         match self {
             Self::Refuted { .. } | Self::Falsified { .. } | Self::Exceeded { .. } => true,
+            Self::CountedAgainst { .. } | Self::FailedPoints { .. } => true,
             Self::Compared { own, other, .. } => own > other,
             Self::Gain { largest, .. } => largest.value() > MAX_GAIN,
             Self::Unanswered {
@@ -338,7 +362,9 @@ impl Strength {
     /// bounds and larger tests rank higher.
     pub(in crate::assessment) fn weight(&self) -> f64 {
         match self {
-            Self::Refuted { failures, .. } => 8.0 + squash(*failures as f64),
+            Self::Refuted { failures, .. } | Self::FailedPoints { failures, .. } => {
+                8.0 + squash(*failures as f64)
+            }
             Self::Falsified { failures, .. } => 8.0 + squash(*failures as f64),
             Self::Unanswered {
                 unanswered,
@@ -346,7 +372,7 @@ impl Strength {
                 ..
             } if self.is_refutation() => 8.0 + squash((unanswered + failures) as f64),
             Self::Unanswered { .. } | Self::OtherUnanswered { .. } => 1.4,
-            Self::Exceeded { .. } | Self::Contradicted => 8.0,
+            Self::Exceeded { .. } | Self::CountedAgainst { .. } | Self::Contradicted => 8.0,
             Self::Proved { certificates } => 7.0 + squash(*certificates as f64),
             Self::PartlyProved { share_percent } => 6.0 + squash(share_percent.value()),
             Self::Bounded { upper_percent, .. } => 5.0 - squash(upper_percent.value()),
@@ -453,11 +479,11 @@ impl Strength {
                 confidence_percent, ..
             } => format!("shown by counts, confidence {confidence_percent} %"),
             Self::NotShownByCounting { runs, .. } => format!("{runs} counted runs do not show it"),
-            Self::Compared { own, other, runs } => match own.cmp(other) {
-                std::cmp::Ordering::Equal => format!("both fail in {own} of {runs}"),
-                _ => format!("{own} against {other} of {runs} fail"),
-            },
+            Self::CountedAgainst { .. } | Self::Compared { .. } => self.describe_comparison(),
             Self::Refuted { failures, runs } => format!("{failures} of {runs} fail"),
+            Self::FailedPoints { failures, points } => {
+                format!("{failures} of {points} operating points (mean speed and frequency) fail")
+            }
             Self::Contradicted => "contradictory evidence".to_owned(),
         }
     }
@@ -491,6 +517,7 @@ impl Strength {
             }
             Self::Gain { largest, .. } => format!("gain {largest}"),
             Self::Refuted { failures, runs } => format!("{failures} of {runs}"),
+            Self::FailedPoints { failures, points } => format!("{failures} of {points} points"),
             Self::Bounded { .. }
             | Self::Exceeded { .. }
             | Self::Between { .. }
@@ -501,6 +528,9 @@ impl Strength {
                 confidence_percent, ..
             } => format!("fewer ({confidence_percent} %)"),
             Self::NotShownByCounting { runs, .. } => format!("{runs} counted"),
+            Self::CountedAgainst {
+                confidence_percent, ..
+            } => format!("more ({confidence_percent} %)"),
             Self::Compared { own, other, .. } => format!("{own} against {other}"),
             Self::Contradicted => "contradictory".to_owned(),
             Self::OtherUnanswered { .. } | Self::Proved { .. } => String::new(),
@@ -543,6 +573,36 @@ impl Strength {
         }
     }
 
+    /// Describes the failures of two controllers in the same runs; empty for other strengths.
+    fn describe_comparison(&self) -> String {
+        match self {
+            Self::CountedAgainst {
+                only_own,
+                only_other,
+                unanswered,
+                confidence_percent,
+                runs,
+            } => format!(
+                "of {runs} counted runs, only it fails in {only_own}, only the other in {only_other}{}, confidence \
+                 {confidence_percent} %",
+                describe_unanswered(*unanswered)
+            ),
+            Self::Compared {
+                own,
+                other,
+                runs,
+                unanswered,
+            } => {
+                let unanswered = describe_unanswered(*unanswered);
+                match own == other {
+                    true => format!("both fail in {own} of {runs}{unanswered}"),
+                    false => format!("{own} against {other} of {runs} fail{unanswered}"),
+                }
+            }
+            _ => String::new(),
+        }
+    }
+
     fn describe_bounds(&self) -> String {
         self.rate_bounds()
             .map_or_else(String::new, |bounds| bounds.describe())
@@ -559,6 +619,14 @@ impl Strength {
             Self::Gain { .. } => 2,
             _ => 1,
         }
+    }
+}
+
+/// Describes runs without an answer of the subject, after a comma; empty if there are none.
+fn describe_unanswered(runs: u64) -> String {
+    match runs {
+        0 => String::new(),
+        runs => format!(", it gives no answer in {runs}"),
     }
 }
 

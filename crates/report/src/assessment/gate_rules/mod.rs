@@ -223,7 +223,7 @@ struct GateRule<'a> {
     /// Field and problem that prevent any assessment of the configuration from evaluating the gate.
     problem: Option<FieldError>,
     verdict: Box<dyn Fn(&GateInputs<'_>) -> GateVerdict + 'a>,
-    /// True for the claim that a gate with the spaces' own names is about.
+    /// True for the claim that a gate with the own names of spaces and suites is about.
     is_about: Box<ClaimTest<'a>>,
 }
 
@@ -248,6 +248,8 @@ struct GateVerdict {
     interval: Option<IndicatorInterval>,
     /// Domain of the deciding runs, if claims about several domains come into question.
     domain: Option<Domain>,
+    /// File of a scenario that decides against the gate, if the claim alone does not determine it.
+    file: Option<String>,
 }
 
 /// The result of a gate.
@@ -268,6 +270,9 @@ pub struct GateResult {
     /// Claim of the report that the gate is about.
     #[serde(skip)]
     pub(super) claim: Option<AssuranceClaim>,
+    /// File of a scenario that decides against the gate, if the claim alone does not determine it.
+    #[serde(skip)]
+    pub(super) file: Option<String>,
 }
 
 impl AssessmentGate {
@@ -276,8 +281,9 @@ impl AssessmentGate {
         self.rule(config).problem
     }
 
-    /// Returns the gate with the spaces' own names, which claims use, in place of those of the configuration.
-    fn with_space_names(&self, plan: &AssessmentPlan) -> Self {
+    /// Returns the gate with the own names of spaces and suites, which claims use, in place of those of the
+    /// configuration.
+    fn with_own_names(&self, plan: &AssessmentPlan) -> Self {
         let mut gate = self.clone();
         if let Self::RateAtMost { space, .. } | Self::RateNotAbove { space, .. } = &mut gate
             && space.is_none()
@@ -285,10 +291,13 @@ impl AssessmentGate {
             *space = plan.rate_spaces.first().map(|named| named.name.clone());
         }
         for GateName { role, name, .. } in gate.names_mut() {
-            if role == NameRole::Space
-                && let Some(named) = plan.find_named_space(name)
-            {
-                named.space.name().clone_into(name);
+            let own = match role {
+                NameRole::Space => plan.find_named_space(name).map(|named| &named.content_id),
+                NameRole::Suite => plan.find_suite(name).map(|planned| &planned.content_id),
+                NameRole::Controller => None,
+            };
+            if let Some(own) = own {
+                own.name.clone_into(name);
             }
         }
         gate
@@ -317,7 +326,7 @@ impl GateConfig {
         let config = &inputs.plan.config;
         let rule = self.gate.rule(config);
         let verdict = (rule.verdict)(inputs);
-        let named = self.gate.with_space_names(inputs.plan);
+        let named = self.gate.with_own_names(inputs.plan);
         let named_rule = named.rule(config);
         let controller = named.controller();
         let domain = verdict.domain.as_ref();
@@ -335,6 +344,7 @@ impl GateConfig {
                 .metric
                 .indicator(verdict.value, verdict.interval, claim),
             claim: about.map(|(_, claim)| claim.clone()),
+            file: verdict.file,
         }
     }
 }
@@ -387,6 +397,7 @@ impl GateVerdict {
             value: None,
             interval: None,
             domain: None,
+            file: None,
         }
     }
 
@@ -406,6 +417,10 @@ impl GateVerdict {
             domain: Some(domain),
             ..self
         }
+    }
+
+    fn with_file(self, file: Option<String>) -> Self {
+        Self { file, ..self }
     }
 
     fn holds(reason: impl Into<String>) -> Self {

@@ -57,5 +57,60 @@ fn check_search(search: &FailureSearch) -> GateVerdict {
             "{avoidable} avoidable and {undecided} undecided failures"
         )),
     };
-    verdict.with_value((avoidable + undecided) as f64)
+    let mut failures = search.failures.iter();
+    let against = failures.find(|failure| failure.class != AvoidabilityClass::Unavoidable);
+    verdict
+        .with_value((avoidable + undecided) as f64)
+        .with_file(against.map(|failure| failure.file.clone()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::assessment::{AssessmentPlan, EvidenceCache, SearchConfig, assess};
+    use crumple_core::observer::Quiet;
+
+    /// The severest failure may be unavoidable, which does not decide against the gate.
+    #[test]
+    fn a_failed_gate_names_a_failure_that_is_not_unavoidable() {
+        let config = AssessConfig {
+            controllers: vec!["baseline".to_owned()],
+            paper: false,
+            distributions: Some(Vec::new()),
+            everyday_draws: 0,
+            search: SearchConfig {
+                spaces: Some(vec!["high-risk".to_owned()]),
+                budget: 40,
+            },
+            subject: None,
+            gates: Vec::new(),
+            ..AssessConfig::default()
+        };
+        let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
+        let report = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
+        let mut search = report.results.searches.spaces[0].controllers[0].clone();
+        search.failures.truncate(2);
+        let files: Vec<String> = search
+            .failures
+            .iter()
+            .map(|failure| failure.file.clone())
+            .collect();
+        for (classes, expected) in [
+            (
+                [AvoidabilityClass::Undecided, AvoidabilityClass::Avoidable],
+                &files[0],
+            ),
+            (
+                [AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided],
+                &files[1],
+            ),
+        ] {
+            for (failure, class) in search.failures.iter_mut().zip(classes) {
+                failure.class = class;
+            }
+            assert_eq!(check_search(&search).file.as_ref(), Some(expected));
+        }
+    }
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::assessment::{
     AssessConfig, AssessmentGate, AssessmentPlan, EvidenceCache, GateConfig, assess,
 };
-use crumple_controllers::find_built_in;
+use crumple_controllers::{Controllers, find_built_in};
 use crumple_core::observer::Quiet;
 use crumple_sim::engine::{RecordingLevel, Run, RunOptions, simulate};
 use crumple_sim::scenario::{NoDriverFiles, built_in_scenario, built_in_scenario_names, file};
@@ -126,4 +126,96 @@ fn a_failed_gate_on_runs_names_the_runs_that_decide_it() {
         let outcome = simulate(&run, RecordingLevel::Summary).outcome;
         assert!(outcome.collision().is_some(), "{file}");
     }
+}
+
+/// A suite that no controller passes.
+const SUITE: &str = r#"
+version = 1
+name = "own"
+about = "A vehicle that cuts in too late."
+document = "None"
+edition = "1"
+parameter_source = "Chosen."
+
+[[clauses]]
+clause = "1"
+summary = "A slower vehicle cuts in."
+
+[[clauses.tests]]
+name = "cut-in"
+lead = "cut-in"
+
+[clauses.tests.parameters]
+own_speed = { values = [60.0], unit = "km/h", origin = "chosen" }
+lead_speed = { values = [20.0], unit = "km/h", origin = "chosen" }
+closing_time = { values = [0.2], unit = "s", origin = "chosen" }
+"#;
+
+/// The file of the suite has another name than the suite, with a backtick.
+const CONFIGURATION: &str = r#"
+version = 1
+controllers = ["idm", "acc-aeb,ttc_s=1.5", "acc-aeb,ttc_s=2.5", "baseline"]
+subject = "baseline"
+paper = false
+distributions = ["high-risk"]
+draws = 5
+everyday_draws = 0
+search = { spaces = ["high-risk"], budget = 10 }
+rates.runs = 0
+
+[[suites]]
+suite = "the`file.toml"
+
+[[suites]]
+suite = "other.toml"
+
+[[gates]]
+require = "suite-passed"
+controller = "baseline"
+suite = "the`file.toml"
+"#;
+
+#[test]
+fn a_failure_names_a_scenario_of_its_own_claim_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("the`file.toml", SUITE);
+    write("other.toml", &SUITE.replace("\"own\"", "\"other\""));
+    write("assessment.toml", CONFIGURATION);
+    let path = folder.path().join("assessment.toml");
+    let plan = AssessmentPlan::load(&path, Controllers::default()).unwrap();
+    let report = assess(&plan, &EvidenceCache::disabled(), None, &Quiet).unwrap();
+
+    let gate = report.gate_case(&report.summary.gates[0]);
+    let condition = "baseline: passes every test of suite `own` that can be run";
+    assert_eq!(
+        (gate.name.as_str(), gate.status),
+        (condition, JunitStatus::Failed)
+    );
+    assert!(gate.file.unwrap().starts_with("counterexamples/suites/"));
+
+    let scenario_against = |is_wanted: &dyn Fn(&AssuranceClaim) -> bool| {
+        let rows = report.summary.claims.iter();
+        let mut claims = rows.flat_map(|row| row.claims.iter().flatten());
+        let claim =
+            claims.find(|claim| claim.subject.controller.name == "baseline" && is_wanted(claim));
+        report.failing_scenario(claim.unwrap())
+    };
+    let searched = scenario_against(&|claim| matches!(claim.domain, Domain::Search { .. }));
+    assert!(searched.unwrap().starts_with("counterexamples/high-risk/"));
+    // `idm` may fail, too, in a scenario that a search with `baseline` found.
+    let compared = scenario_against(&|claim| {
+        matches!(claim.domain, Domain::Space { .. })
+            && matches!(claim.property, Property::FailsLessOften { .. })
+    });
+    assert_eq!(compared, None);
+
+    let suites = &report.results.suites.as_ref().unwrap().suites;
+    let cases: Vec<JunitCase> = suites.iter().flat_map(suite_cases).collect();
+    let last_part = |class: &str| class.rsplit('.').next().unwrap().to_owned();
+    let identities = cases
+        .iter()
+        .map(|case| (last_part(&case.class), &case.name));
+    let identities: std::collections::BTreeSet<_> = identities.collect();
+    assert_eq!((identities.len(), cases.len()), (8, 8));
 }

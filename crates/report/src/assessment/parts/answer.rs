@@ -165,24 +165,41 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> St
     let Some(first) = plan.controllers.first().filter(|_| plan.subject_index != 0) else {
         return String::new();
     };
-    let spaces: Vec<_> = claims
-        .iter()
-        .filter(|subject_claim| {
-            matches!(
-                subject_claim.claim.property,
-                Property::FailsLessOften { .. }
-            ) && subject_claim.status.strength.is_assurance()
-        })
+    let first = &first.name;
+    let fewer = compared_domains(claims, Strength::is_assurance);
+    let more = compared_domains(claims, |strength| {
+        matches!(strength, Strength::CountedAgainst { .. })
+    });
+    let fewer = fewer.map(|spaces| {
+        format!(
+            "A certificate shows that it fails less often than `{first}` {spaces}; for other domains this is not shown."
+        )
+    });
+    let more = more.map(|spaces| {
+        format!("Counted runs show that it fails more often than `{first}` {spaces}.")
+    });
+    let sentences: Vec<String> = more.into_iter().chain(fewer).collect();
+    if sentences.is_empty() {
+        return format!("It is not shown to fail less often than `{first}`.");
+    }
+    sentences.join(" ")
+}
+
+/// Returns the domains in which the comparison with the first controller has such a strength; `None` without any.
+fn compared_domains(
+    claims: &[SubjectClaim<'_>],
+    has_strength: impl Fn(&Strength) -> bool,
+) -> Option<String> {
+    let compared = claims.iter().filter(|subject_claim| {
+        matches!(
+            subject_claim.claim.property,
+            Property::FailsLessOften { .. }
+        ) && has_strength(&subject_claim.status.strength)
+    });
+    let domains: Vec<String> = compared
         .map(|subject_claim| subject_claim.claim.describe_domain())
         .collect();
-    match spaces.as_slice() {
-        [] => format!("It is not shown to fail less often than `{}`.", first.name),
-        spaces => format!(
-            "A certificate shows that it fails less often than `{}` {}; for other domains this is not shown.",
-            first.name,
-            spaces.join(" and ")
-        ),
-    }
+    (!domains.is_empty()).then(|| domains.join(" and "))
 }
 
 /// Describes a claim that does not hold: the violation first, then its frequency.

@@ -7,6 +7,7 @@ use crate::assessment::AssessmentPlan;
 use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Property, Subject};
 use crate::assessment::plan::NamedSpace;
 use crumple_core::digest::sha256;
+use crumple_core::markdown::prose_name;
 use crumple_evidence::{check_covers_scenario, checker_file};
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Scenario, built_in_scenario, built_in_scenario_names};
@@ -27,7 +28,7 @@ pub(super) fn describe_statement(
         ClaimSubject::AnyVehicles => "vehicles of these classes, dry road".to_owned(),
         ClaimSubject::AnyNeighbours => "a vehicle between leader and follower".to_owned(),
         ClaimSubject::Scene { .. } | ClaimSubject::Region(_) => {
-            certificate.provenance.scenario.clone()
+            prose_name(&certificate.provenance.scenario)
         }
     }
 }
@@ -38,8 +39,9 @@ fn describe_runs(registration: &Registration) -> String {
         None => controller.to_owned(),
         Some(second) => format!("{controller} against {second}"),
     };
+    let controllers = prose_name(&controllers);
     let runs = registration.runs;
-    let space = entry(registration, "space");
+    let space = prose_name(entry(registration, "space"));
     format!("{controllers} in {runs} runs of space `{space}`")
 }
 
@@ -153,7 +155,7 @@ fn initial_states_id(
     }
     let horizon_s = reach.step_s * f64::from(reach.steps);
     let around = match scenario_inside(plan, certificate, policy) {
-        Some(scenario) => format!("around `{}`", scenario.spec().name),
+        Some(scenario) => format!("around `{}`", prose_name(&scenario.spec().name)),
         None => format!("of certificate `{certificate_name}`"),
     };
     let any_braking = if reach.leader_brakes_at_most_mps2.is_some() {
@@ -213,7 +215,7 @@ fn registered_claim(
         return Err(format!("crumple {release} counted its runs"));
     }
     let named = find_space(plan, registration).ok_or_else(|| {
-        let space = entry(registration, "space");
+        let space = prose_name(entry(registration, "space"));
         format!("its space `{space}` is not among `distributions`")
     })?;
     let estimator = EstimatorKind::ALL
@@ -259,7 +261,7 @@ fn registered_subject(
         })
         .and_then(|index| plan.claim_subject(index, estimator))
         .ok_or_else(|| {
-            let name = entry(registration, key);
+            let name = prose_name(entry(registration, key));
             format!("its `{name}` is not among the controllers")
         })
 }

@@ -49,6 +49,9 @@ pub struct CheckedCertificate {
     /// Controllers that `check --rerun` needs as arguments; `None` if it cannot repeat counts of the certificate.
     #[serde(skip)]
     pub(super) recount_controllers: Option<Vec<String>>,
+    /// Seed of the counted runs.
+    #[serde(skip)]
+    counted_seed: Option<u64>,
     /// Statement, if it is about a kernel.
     #[serde(skip)]
     kernel: Option<Statement>,
@@ -61,16 +64,21 @@ pub struct CheckedCertificate {
     /// First counted run that this assessment found to violate the statement.
     #[serde(skip)]
     pub(super) first_violation: Option<RandomScenario>,
+    /// Missing answers in the counted runs, each after a semicolon; empty if there are none, or if they are unknown.
+    #[serde(skip)]
+    pub(super) unanswered: String,
 }
 
 /// Counted runs that two controllers made in the same scenarios.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(in crate::assessment) struct CountedPairs {
     /// Runs in which only the first, and only the second, failed.
     pub(in crate::assessment) only_one_failed: [u64; 2],
     pub(in crate::assessment) runs: u64,
     /// Confidence level of the comparison.
     pub(in crate::assessment) confidence: f64,
+    /// Missing answers, each after a semicolon.
+    pub(in crate::assessment) unanswered: String,
 }
 
 /// The result of checking a certificate.
@@ -86,7 +94,7 @@ pub enum CertificateStatus {
         /// Strength for the claim about a controller; absent if it makes none.
         strength: Option<Strength>,
     },
-    /// The registered runs were counted, and do not show the claim.
+    /// The registered runs were counted, and do not show the claim, or refute it.
     NothingShown {
         /// Counts in words.
         counted: String,
@@ -147,6 +155,9 @@ impl CertificateStatus {
     pub(super) fn describe(&self) -> String {
         match self {
             Self::Accepted { shown, .. } => shown.clone(),
+            Self::NothingShown { counted, strength } if strength.is_refutation() => {
+                format!("refuted: {counted}")
+            }
             Self::NothingShown { counted, .. } => format!("not shown: {counted}"),
             Self::Rejected { reason } => format!("rejected: {reason}"),
         }
@@ -205,9 +216,16 @@ fn accepted_strength(
         // Below the minimum confidence level it shows nothing.
         (ProvedClaim::FailsLessOften { confidence }, Statement::Comparison(comparison)) => {
             let confidence_percent = Rounded::down(100.0 * confidence);
-            (confidence_percent.value() >= MIN_CONFIDENCE_PERCENT).then_some(Strength::Counted {
-                confidence_percent,
-                runs: comparison.registration.runs,
+            let runs = comparison.registration.runs;
+            Some(match confidence_percent.value() >= MIN_CONFIDENCE_PERCENT {
+                true => Strength::Counted {
+                    confidence_percent,
+                    runs,
+                },
+                false => Strength::NotShownByCounting {
+                    confidence_percent,
+                    runs,
+                },
             })
         }
         // The certificate contains an initial state that ends in a collision.
@@ -292,6 +310,7 @@ impl CheckedCertificate {
             only_one_failed: [comparison.only_first_failed, comparison.only_second_failed],
             runs: comparison.registration.runs,
             confidence: comparison.registration.confidence,
+            unanswered: self.unanswered.clone(),
         })
     }
 
@@ -304,7 +323,7 @@ impl CheckedCertificate {
         let draws = rate.registration.runs;
         let domain = Domain::Draws {
             space: space.clone(),
-            seed: rate.registration.configuration.get("seed")?.parse().ok()?,
+            seed: self.counted_seed?,
             draws,
         };
         let claim = AssuranceClaim {
@@ -328,6 +347,7 @@ impl CheckedCertificate {
             what: format!("certificate `{}`", self.name),
             file,
             sha256,
+            seed: self.counted_seed,
         }
     }
 }
@@ -394,6 +414,7 @@ pub(super) fn check_certificate(
             .flatten(),
         status,
         assumptions: certificate.assumptions.clone(),
+        counted_seed: counted_seed(&certificate.statement),
         rate: match &certificate.statement {
             Statement::Rate(rate) if !counts_others => Some(rate.clone()),
             _ => None,
@@ -407,7 +428,17 @@ pub(super) fn check_certificate(
         text,
         name,
         first_violation: None,
+        unanswered: String::new(),
     })
+}
+
+fn counted_seed(statement: &Statement) -> Option<u64> {
+    let registration = match statement {
+        Statement::Rate(claim) => &claim.registration,
+        Statement::Comparison(claim) => &claim.registration,
+        _ => return None,
+    };
+    registration.configuration.get("seed")?.parse().ok()
 }
 
 /// Returns the evidence of accepted certificates, about controllers and about shields whose kernels they prove.

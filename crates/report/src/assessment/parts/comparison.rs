@@ -2,15 +2,18 @@
 
 mod fact;
 mod order;
+mod runs;
 
 use std::cmp::Ordering;
+use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::path::Path;
 
 use serde::Serialize;
 use serde_json::Value;
 
-use self::fact::{Fact, Facts, read, read_facts};
+use self::fact::{Fact, FactKey, Facts, read, read_facts};
+use self::runs::RandomRuns;
 use crate::assessment::EVIDENCE_VERSION;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
@@ -31,7 +34,8 @@ pub struct AssessmentComparison {
     pub better: Vec<AssessmentChange>,
     /// Worse results.
     pub worse: Vec<AssessmentChange>,
-    /// Changed results of which neither is better: failures that became unavoidable, and unlike quantities.
+    /// Changed results of which neither is better: failures that became unavoidable, unlike quantities, and results of
+    /// other random runs whose difference may be that of the runs.
     pub changed: Vec<AssessmentChange>,
     /// Results that the earlier assessment lacks.
     pub new: Vec<AssessmentChange>,
@@ -55,14 +59,21 @@ pub struct AssessmentChange {
     pub is_failure: bool,
     /// True if the controller collides now, and did not before.
     pub is_new_collision: bool,
+    /// Difference of the random runs behind the results, such as "more runs"; absent if there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub other_runs: Option<&'static str>,
 }
 
 /// The compared content of an earlier assessment.
 #[derive(Debug, Clone)]
 pub struct EarlierAssessment {
+    /// Text of its `assessment.json`.
+    text: String,
     sha256: String,
     config_sha256: String,
     facts: Facts,
+    /// Random runs behind its evidence.
+    runs: Vec<RandomRuns>,
 }
 
 /// Maximum size of the evidence of an earlier assessment, in bytes; the built-in one takes less than one fiftieth.
@@ -88,17 +99,61 @@ impl EarlierAssessment {
             let message = format!("version: {version} is not supported; {supported}");
             return Err(syntax_error(path, 1, message));
         }
-        Self::from_evidence(&evidence, sha256(text))
+        Self::from_evidence(&evidence, text.to_owned())
             .map_err(|problem| syntax_error(path, 1, not_evidence(problem)))
     }
 
     /// Reads the compared content; the error names a field.
-    fn from_evidence(evidence: &Value, sha256: String) -> Result<Self, String> {
+    fn from_evidence(evidence: &Value, text: String) -> Result<Self, String> {
         Ok(Self {
-            sha256,
+            sha256: sha256(&text),
+            text,
             config_sha256: read(evidence, "provenance/config_sha256")?,
             facts: read_facts(evidence)?,
+            runs: RandomRuns::all(evidence),
         })
+    }
+
+    pub(in crate::assessment) fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Returns the earlier result to compare with: of the same name and domain, or else one that differs in its random
+    /// runs only and is not in `present`.
+    fn find(&self, key: &FactKey, fact: &Fact, present: &Facts) -> Option<(&FactKey, &Fact)> {
+        let related = |(key, before): &(&FactKey, &Fact)| {
+            fact.family.is_some() && before.family == fact.family && !present.contains_key(*key)
+        };
+        let exact = self.facts.get_key_value(key);
+        exact.or_else(|| self.facts.iter().find(related))
+    }
+
+    /// Compares a result with the earlier one, if there is one.
+    fn compare_fact(
+        &self,
+        (what, _): &FactKey,
+        before: Option<&Fact>,
+        now: &Fact,
+    ) -> (ChangeKind, AssessmentChange) {
+        let other_runs = now.runs.as_ref().and_then(|runs| match before {
+            Some(before) => runs.difference(before.runs.as_ref()?),
+            None => runs.difference_from_all(&self.runs),
+        });
+        let kind = match before {
+            // More runs find more failures, also of an equal controller.
+            None if now.is_failure && other_runs.is_some() => ChangeKind::Changed,
+            None => ChangeKind::New,
+            Some(before) => match now.compare(before) {
+                Some(Ordering::Greater) => ChangeKind::Better,
+                Some(Ordering::Less) => ChangeKind::Worse,
+                None if before.description != now.description => ChangeKind::Changed,
+                Some(Ordering::Equal) | None => ChangeKind::Unchanged,
+            },
+        };
+        let mut change = AssessmentChange::new(what, before, Some(now));
+        change.is_new_collision &= kind == ChangeKind::Worse || other_runs.is_none();
+        change.other_runs = other_runs;
+        (kind, change)
     }
 }
 
@@ -150,23 +205,6 @@ enum ChangeKind {
     Unchanged,
 }
 
-fn compare_fact(
-    (what, _): &(String, String),
-    before: Option<&Fact>,
-    now: &Fact,
-) -> (ChangeKind, AssessmentChange) {
-    let kind = match before {
-        None => ChangeKind::New,
-        Some(before) => match now.measure.compare(&before.measure) {
-            Some(Ordering::Greater) => ChangeKind::Better,
-            Some(Ordering::Less) => ChangeKind::Worse,
-            None if before.description != now.description => ChangeKind::Changed,
-            Some(Ordering::Equal) | None => ChangeKind::Unchanged,
-        },
-    };
-    (kind, AssessmentChange::new(what, before, Some(now)))
-}
-
 impl AssessmentChange {
     fn new(what: &str, before: Option<&Fact>, now: Option<&Fact>) -> Self {
         Self {
@@ -176,19 +214,20 @@ impl AssessmentChange {
             is_failure: now.or(before).is_some_and(|fact| fact.is_failure),
             is_new_collision: before.and_then(|fact| fact.collides) == Some(false)
                 && now.and_then(|fact| fact.collides) == Some(true),
+            other_runs: None,
         }
     }
 
     /// Returns the cells of the change: its label, which is good or bad or neither, the result, and both states.
     fn table_row(&self, label: &str, verdict: Option<bool>) -> Vec<ReportCell> {
-        let label = if self.is_new_collision {
-            NEW_COLLISION
-        } else {
-            label
+        let label = match (self.is_new_collision, self.other_runs) {
+            (true, _) => NEW_COLLISION.to_owned(),
+            (false, Some(difference)) => format!("{label}: {difference}"),
+            (false, None) => label.to_owned(),
         };
         let label = verdict.map_or_else(
-            || ReportCell::text(label),
-            |good| ReportCell::with_verdict(label, good),
+            || ReportCell::text(&label),
+            |good| ReportCell::with_verdict(&label, good),
         );
         let [before, now] = [&self.before, &self.now]
             .map(|state| ReportCell::text(state.as_deref().unwrap_or("–")));
@@ -216,6 +255,11 @@ const NEW_COLLISION: &str = "NEW COLLISION";
 
 /// Label of a failure that is not in the earlier assessment.
 const NEW_FAILURE: &str = "new failure";
+
+/// Rule for results of other random runs.
+const OTHER_RUNS_NOTE: &str = "Results of another number of runs, or of another seed, are better or worse only if the \
+    runs that both made show it, or if the intervals of both failure rates are disjoint (confidence 99.9 %, or that of \
+    the bounds). A failure that only a larger search found, or a search with another seed, is not worse.";
 
 /// Maximum number of worse results on a terminal.
 const MAX_WORSE_LINES: usize = 20;
@@ -250,16 +294,20 @@ impl AssessmentComparison {
     }
 
     fn from_facts(earlier: &EarlierAssessment, facts: &Facts, same_configuration: bool) -> Self {
-        let present = facts
-            .iter()
-            .map(|(key, fact)| (key, earlier.facts.get(key), fact))
-            .filter(|(_, before, now)| !now.is_restated || before.is_some_and(is_own_result))
-            .map(|(key, before, now)| compare_fact(key, before, now));
-        let present: Vec<(ChangeKind, AssessmentChange)> = present.collect();
+        let mut matched = BTreeSet::new();
+        let mut present = Vec::new();
+        for (key, now) in facts {
+            let earlier_result = earlier.find(key, now, facts);
+            matched.extend(earlier_result.map(|(key, _)| key));
+            let before = earlier_result.map(|(_, fact)| fact);
+            if !now.is_restated || before.is_some_and(is_own_result) {
+                present.push(earlier.compare_fact(key, before, now));
+            }
+        }
         let gone = earlier
             .facts
             .iter()
-            .filter(|(key, fact)| !facts.contains_key(*key) && is_own_result(fact))
+            .filter(|(key, fact)| !matched.contains(key) && is_own_result(fact))
             .map(|((what, _), fact)| AssessmentChange::new(what, Some(fact), None));
         let mut worse = changes_of_kind(&present, ChangeKind::Worse);
         worse.sort_by_key(|change| !change.is_new_collision);
@@ -280,7 +328,7 @@ impl AssessmentComparison {
     pub fn describe(&self) -> String {
         format!(
             "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} changed without being \
-             better or worse, {} unchanged.",
+             better or worse{}, {} unchanged.",
             if self.same_configuration {
                 ""
             } else {
@@ -291,8 +339,18 @@ impl AssessmentComparison {
             self.new.len(),
             self.gone.len(),
             self.changed.len(),
+            self.describe_other_runs(),
             self.unchanged
         )
+    }
+
+    /// Returns the number of changed results that have other random runs, in brackets; empty if there are none.
+    fn describe_other_runs(&self) -> String {
+        let changed = self.changed.iter();
+        match changed.filter(|change| change.other_runs.is_some()).count() {
+            0 => String::new(),
+            count => format!(" ({count} with other random runs)"),
+        }
     }
 
     /// Returns the comparison as text for a terminal: a sentence, and the results that are worse.
@@ -357,6 +415,9 @@ impl ReportPart for AssessmentComparison {
 
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(self.describe());
+        if !self.describe_other_runs().is_empty() {
+            out.paragraph(OTHER_RUNS_NOTE);
+        }
         if !self.is_empty() {
             out.table(self.table());
         }

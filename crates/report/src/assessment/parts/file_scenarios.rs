@@ -165,7 +165,8 @@ fn closest_m(scenario: &ScenarioCases) -> f64 {
 }
 
 pub(in crate::assessment) fn scenario_path(scenario: &Scenario) -> String {
-    scenario_file(&scenario.spec().name)
+    let stem = file_stem(&scenario.spec().name);
+    format!("{SCENARIO_FOLDER}/{stem}.toml")
 }
 
 impl FileScenarios {
@@ -179,12 +180,8 @@ impl FileScenarios {
         let failing = scenarios.find(|scenario| {
             scenario.fails(controller) && domain.contains(&scenario.content_id())
         })?;
-        Some(scenario_file(&failing.scenario))
+        Some(scenario_path(&failing.full_scenario))
     }
-}
-
-fn scenario_file(name: &str) -> String {
-    format!("{SCENARIO_FOLDER}/{}.toml", file_stem(name))
 }
 
 /// Folder of the report with the scenarios from files and recordings.

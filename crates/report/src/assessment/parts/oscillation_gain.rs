@@ -139,9 +139,9 @@ impl OscillationGain {
             );
         }
         match self.largest {
-            _ if collisions > 0 => Strength::Refuted {
+            _ if collisions > 0 => Strength::FailedPoints {
                 failures: amplified + collisions,
-                runs: points,
+                points,
             },
             Some(largest) if largest.is_above_one() || self.is_complete() => Strength::Gain {
                 largest: largest.gain,
@@ -442,9 +442,9 @@ mod tests {
         let collides = measured(vec![Ok(0.9), Err(NoGain::Collision)]);
         assert_eq!(
             collides.strength(),
-            Strength::Refuted {
+            Strength::FailedPoints {
                 failures: 1,
-                runs: 2
+                points: 2
             }
         );
         let unanswered = measured(vec![

@@ -113,7 +113,9 @@ impl Proofs {
                 ("certificate", &|proof| ReportCell::text(&proof.name)),
                 ("about", &|proof| ReportCell::text(&proof.about)),
                 ("shown", &|proof| match proof.status {
-                    CertificateStatus::NothingShown { .. } => {
+                    CertificateStatus::NothingShown { ref strength, .. }
+                        if !strength.is_refutation() =>
+                    {
                         ReportCell::text(proof.status.describe())
                     }
                     _ => ReportCell::with_verdict(proof.status.describe(), proof.is_accepted()),

@@ -8,6 +8,7 @@ use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessConfig, AssessmentPlan, EvidenceCache, EvidenceHash};
 use crumple_core::digest::sha256;
+use crumple_core::markdown::prose_name;
 
 /// The time, program and machine of an assessment. No evidence depends on them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -41,6 +42,9 @@ pub struct AssessmentProvenance {
     /// Names of the controllers whose files are not in the report folder, such as compiled programs.
     #[serde(skip)]
     pub(in crate::assessment) absent_controllers: Vec<String>,
+    /// Names of the controllers in the report.
+    #[serde(skip)]
+    controllers: Vec<String>,
     /// Hashes of all cached evidence.
     pub evidence: Vec<EvidenceHash>,
     /// Time, program and machine of the assessment, if known.
@@ -76,6 +80,7 @@ impl AssessmentProvenance {
             crumple: env!("CARGO_PKG_VERSION"),
             config: plan.config.clone(),
             config_sha256: sha256(&inputs),
+            controllers: plan.controller_names(),
             absent_controllers: plan
                 .controllers_outside_report()
                 .map(|controller| plan.controller_entry(controller).to_owned())
@@ -98,7 +103,7 @@ impl AssessmentProvenance {
         ReportTable::from_items(
             &self.evidence,
             &[
-                ("evidence", &|hash| ReportCell::text(&hash.name)),
+                ("evidence", &|hash| ReportCell::text(prose_name(&hash.name))),
                 ("SHA-256 of the inputs", &|hash| {
                     ReportCell::digest(&hash.inputs_sha256)
                 }),
@@ -121,7 +126,7 @@ impl AssessmentProvenance {
         let lines = vec![
             ("crumple", self.crumple.to_owned()),
             ("estimator", config.estimator.name().to_owned()),
-            ("controllers", config.controllers.join(", ")),
+            ("controllers", self.controllers.join(", ")),
             ("random scenarios per space", config.draws.to_string()),
             ("seed", config.seed.to_string()),
             (

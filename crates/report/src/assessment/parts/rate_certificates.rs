@@ -1,6 +1,7 @@
 //! Runs that are counted for certificates of a report.
 
-use crumple_verify::{Certificate, RateClaim, Registration, Statement};
+use crumple_verify::rate::binomial_tail_upper_bound;
+use crumple_verify::{Certificate, ComparisonClaim, RateClaim, Registration, Statement};
 use serde::{Deserialize, Serialize};
 
 use super::certificate_subject::includes_others;
@@ -8,7 +9,7 @@ use super::certificates::{
     CertificateStatus, CheckedCertificate, check_certificate, rate_strength,
 };
 use super::sampling::{draw_scenarios, simulate_each};
-use crate::assessment::claims::{RandomScenario, Strength};
+use crate::assessment::claims::{MIN_CONFIDENCE_PERCENT, RandomScenario, Strength};
 use crate::assessment::controller_arg::controller_arg;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};
@@ -122,12 +123,16 @@ impl PlannedRateCount<'_> {
         let mut proof = check_certificate(plan, self.name, &certificate, None)?;
         proof.first_violation = RandomScenario::new(seed, counted.first_violation);
         let counts_others = includes_others(plan, &certificate.statement);
-        let unanswered = &counted.unanswered;
-        if let Some(status) = not_shown_status(&certificate.statement, counts_others, unanswered)
-            .filter(|_| !proof.is_accepted())
-        {
-            proof.status = status;
+        match &mut proof.status {
+            CertificateStatus::Accepted { shown, .. } => shown.push_str(&counted.unanswered),
+            status => {
+                let not_shown = not_shown_status(&certificate.statement, counts_others, &counted);
+                if let Some(not_shown) = not_shown {
+                    *status = not_shown;
+                }
+            }
         }
+        proof.unanswered = counted.unanswered;
         Ok(proof)
     }
 
@@ -146,6 +151,9 @@ impl PlannedRateCount<'_> {
         Ok(CountedRuns {
             certificate: serde_json::to_string(&certificate).map_err(CacheError::encoding)?,
             unanswered: tally.missing_answers_summary(),
+            unanswered_runs: tally
+                .missing_answers()
+                .map(|missing| missing.map_or(0, |missing| missing.runs)),
             first_violation: self.find_violation(rates, &tally, work.plan)?,
         })
     }
@@ -197,6 +205,8 @@ struct CountedRuns {
     certificate: String,
     /// Controllers that gave no answer, in words; empty if there are none.
     unanswered: String,
+    /// Runs without an answer of the controller, and of the other one.
+    unanswered_runs: [u64; 2],
     /// Index of the first run that violates the statement.
     first_violation: Option<u64>,
 }
@@ -240,26 +250,51 @@ pub(super) fn recount_controllers(
 fn not_shown_status(
     statement: &Statement,
     counts_others: bool,
-    unanswered: &str,
+    counted: &CountedRuns,
 ) -> Option<CertificateStatus> {
+    let unanswered = &counted.unanswered;
     match statement {
-        Statement::Comparison(comparison) => {
-            let Registration {
-                runs, confidence, ..
-            } = comparison.registration;
-            Some(CertificateStatus::NothingShown {
-                counted: format!(
-                    "only the first failed in {} runs, only the second in {}{unanswered}",
-                    comparison.only_first_failed, comparison.only_second_failed
-                ),
-                strength: Strength::NotShownByCounting {
-                    confidence_percent: Rounded::down(100.0 * confidence),
-                    runs,
-                },
-            })
-        }
+        Statement::Comparison(comparison) => Some(CertificateStatus::NothingShown {
+            counted: format!(
+                "only the first failed in {} runs, only the second in {}{unanswered}",
+                comparison.only_first_failed, comparison.only_second_failed
+            ),
+            strength: strength_without_proof(comparison, counted.unanswered_runs),
+        }),
         Statement::Rate(rate) => Some(unbounded_status(rate, counts_others, unanswered)),
         _ => None,
+    }
+}
+
+/// Returns the strength of a comparison that the checker did not accept. The count refutes it if the same test, at the
+/// same confidence level, shows that the first controller fails more often.
+fn strength_without_proof(
+    comparison: &ComparisonClaim,
+    [unanswered, other_unanswered]: [u64; 2],
+) -> Strength {
+    let Registration {
+        runs, confidence, ..
+    } = comparison.registration;
+    let confidence_percent = Rounded::down(100.0 * confidence);
+    let only_own = comparison.only_first_failed;
+    // The count leaves out runs without an answer of the second controller: here each is a failure of only this one.
+    let only_other = comparison
+        .only_second_failed
+        .saturating_add(other_unanswered);
+    let tail = binomial_tail_upper_bound(only_other, only_own.saturating_add(only_other), 0.5);
+    if tail <= 1.0 - confidence && confidence_percent.value() >= MIN_CONFIDENCE_PERCENT {
+        Strength::CountedAgainst {
+            only_own,
+            only_other,
+            unanswered,
+            confidence_percent,
+            runs,
+        }
+    } else {
+        Strength::NotShownByCounting {
+            confidence_percent,
+            runs,
+        }
     }
 }
 

@@ -16,7 +16,7 @@ use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, Rounded};
 use crumple_core::observer::Quiet;
 use crumple_evidence::drives::DriveSet;
-use crumple_evidence::{DriveComfort, DriveReport};
+use crumple_evidence::{DriveComfort, DriveReport, EventRate};
 use crumple_measure::{ACCELERATION_WINDOW_S, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
 use crumple_sim::engine::{NamedController, RunOptions};
 
@@ -49,7 +49,7 @@ fn count_drives(
     let options =
         RunOptions::new(controller.source.clone()).with_estimator(work.plan.config.estimator);
     let runs = drives.run(&options, &Quiet)?;
-    work.add_runs(drives.run_count())?;
+    work.add_runs(drives.max_run_count())?;
     Ok(DriveReport::new(&controller.name, &runs, drives))
 }
 
@@ -155,7 +155,8 @@ impl RecordedDrives {
     /// Introduces the table of the first page.
     pub(super) fn first_page_note(&self) -> String {
         format!(
-            "Recorded drives: {} drives of `{}`, {} hours, behind leaders that repeat their recorded speeds; {}.",
+            "Recorded drives: {} drives of `{}`, {} hours, behind leaders that repeat their recorded speeds; {}. \
+             Unnecessary braking that only a follower causes counts apart.",
             self.count,
             self.drives.name,
             self.hours,
@@ -218,9 +219,8 @@ impl RecordedDrives {
             ("unnecessary braking per hour", &|row| {
                 ReportCell::number(row.comfort.unnecessary_braking.per_hour)
             }),
-            ("per hour, no vehicle behind", &|row| {
-                let alone = row.alone.map(|comfort| comfort.unnecessary_braking);
-                ReportCell::optional(alone.map(|rate| rate.per_hour))
+            ("per hour, only with the vehicle behind", &|row| {
+                ReportCell::optional(row.caused_behind.map(|rate| rate.per_hour))
             }),
             ("rms jerk (m/s³)", &|row| {
                 two_decimals(row.comfort.rms_jerk_mps3)
@@ -239,13 +239,13 @@ impl RecordedDrives {
         let controllers = self.controllers.iter().map(|driven| ComfortRow {
             name: &driven.controller,
             comfort: &driven.comfort,
-            alone: driven.alone.as_ref(),
+            caused_behind: Some(&driven.caused_by_vehicle_behind),
             rms_spacing_error_m: driven.rms_spacing_error_m,
         });
         let recorded = self.controllers.first().map(|driven| ComfortRow {
             name: "recorded cars",
             comfort: &driven.recorded,
-            alone: None,
+            caused_behind: None,
             rms_spacing_error_m: None,
         });
         ReportTable::from_items(controllers.chain(recorded), &columns)
@@ -256,14 +256,16 @@ impl RecordedDrives {
             "The speeds of recorded cars are known at the recorded intervals. Their braking, and the jerk in the \
              column \"rms jerk as recorded\" of every driver, follow from accelerations averaged over \
              {ACCELERATION_WINDOW_S} s. Braking above {HARD_BRAKE_MPS2} m/s² of a controller counts at any \
-             instant. Unnecessary braking that does not happen with no vehicle behind is a reaction to that \
-             vehicle. The spacing error is the rms difference to the recorded gap, on average over the drives."
+             instant. Unnecessary braking that the same drive does not have without the vehicle behind has its own \
+             column. The spacing error is the rms difference to the recorded gap, on average over the drives."
         )];
         for driven in &self.controllers {
             if let Some(unanswered) = &driven.unanswered {
                 notes.push(note_unanswered(&driven.controller, unanswered, self.count));
             }
             notes.extend(note_ended_by_others(driven));
+            let note = driven.note_vehicle_behind();
+            notes.extend(note.map(|note| format!("{}: {note}.", driven.controller)));
         }
         notes
     }
@@ -277,11 +279,18 @@ impl RecordedDrives {
 
     fn evidence_about(&self, subject: &Subject, driven: &DriveReport) -> [Evidence; 2] {
         let [collisions, braking] = strengths(driven);
+        let drives = format!("{} drives", self.count);
+        let noted = match driven.caused_by_vehicle_behind_drives {
+            0 => drives.clone(),
+            caused => {
+                format!("{drives}, {caused} with braking that only the vehicle behind causes")
+            }
+        };
         [
-            (Property::NoCollision, collisions),
-            (Property::NoUnnecessaryBraking, braking),
+            (Property::NoCollision, collisions, drives),
+            (Property::NoUnnecessaryBraking, braking, noted),
         ]
-        .map(|(property, strength)| Evidence {
+        .map(|(property, strength, what)| Evidence {
             claim: AssuranceClaim {
                 subject: subject.clone(),
                 property,
@@ -289,7 +298,7 @@ impl RecordedDrives {
             },
             strength,
             first_violation: None,
-            source: EvidenceSource::from_part(ANCHOR, format!("{} drives", self.count)),
+            source: EvidenceSource::from_part(ANCHOR, what),
         })
     }
 }
@@ -298,7 +307,7 @@ impl RecordedDrives {
 struct ComfortRow<'a> {
     name: &'a str,
     comfort: &'a DriveComfort,
-    alone: Option<&'a DriveComfort>,
+    caused_behind: Option<&'a EventRate>,
     rms_spacing_error_m: Option<f64>,
 }
 
@@ -317,7 +326,7 @@ impl ReportPart for RecordedDrives {
 
     fn runs(plan: &AssessmentPlan) -> u64 {
         let drives = plan.drives.as_ref();
-        plan.runs_of_all(drives.map_or(0, |named| named.drives.run_count()))
+        plan.runs_of_all(drives.map_or(0, |named| named.drives.max_run_count()))
     }
 
     fn write(&self, out: &mut ReportDocument) {

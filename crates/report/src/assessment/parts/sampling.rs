@@ -117,7 +117,12 @@ impl ControllerSample {
         ];
         let own = [self.ends.failures(), self.ends.ended_by_others];
         match (
-            Strength::from_paired_counts(own, other_counts, random_scenarios),
+            Strength::from_paired_counts(
+                own,
+                other_counts,
+                random_scenarios,
+                self.ends.unanswered_runs(),
+            ),
             &other.ends.unanswered,
         ) {
             (Strength::NotShown, Some(unanswered)) => Strength::OtherUnanswered {
@@ -229,7 +234,7 @@ impl SpaceSample {
             first_violation: RandomScenario::new(self.seed, first.violating(&claim.property)),
             claim,
             strength,
-            source: EvidenceSource::from_part(ANCHOR, description),
+            source: EvidenceSource::from_part(ANCHOR, description).with_seed(Some(self.seed)),
         }
     }
 

@@ -20,6 +20,7 @@ use crate::draw::{
     MotionFigure, Svg, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side,
     vehicle_names,
 };
+use crumple_core::markdown::prose_name;
 use crumple_measure::DEFAULT_CLASS_WORDS;
 use crumple_search::worst_case::AvoidReport;
 use crumple_sim::scenario::Scenario;
@@ -115,7 +116,7 @@ impl ScenarioCases {
         cases: Vec<CaseResult>,
     ) -> Self {
         Self {
-            scenario: scenario.spec().name.clone(),
+            scenario: prose_name(&scenario.spec().name),
             about: scenario.spec().about.clone(),
             replay,
             avoidance: None,

@@ -7,6 +7,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_block::ReportBlock;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
+use crumple_core::markdown::prose_name;
 use crumple_spaces::{ScenarioSpace, built_in_space_summary};
 
 /// The parameters of each scenario space, with ranges and probability distributions.
@@ -67,7 +68,7 @@ impl SpaceDescription {
                 distribution: parameter.distribution.to_string(),
             });
         Self {
-            name: spec.name.clone(),
+            name: prose_name(&spec.name),
             about: built_in_space_summary(space).map_or_else(|| spec.about.clone(), sentence),
             parameters: parameters.collect(),
             has_dependence: spec.dependence.is_some(),

@@ -21,8 +21,8 @@ use crate::assessment::run_ends::note_unanswered;
 use crate::assessment::table::{CellMark, ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand};
 use crate::suite::{
-    describe_min_margins, describe_preventability, describe_verdict, describe_warning,
-    describe_worst_in_tolerance,
+    describe_min_margins, describe_outcome, describe_preventability, describe_verdict,
+    describe_warning, describe_worst_in_tolerance,
 };
 use crumple_core::digest::sha256;
 use crumple_sim::engine::{FailedControllerRuns, NamedController};
@@ -376,7 +376,7 @@ impl PlannedSuiteResult {
                     ReportCell::text(&outcome.tested.controller)
                 }),
                 ("verdict", &|outcome| {
-                    let verdict = describe_verdict(&outcome.tested.verdict);
+                    let verdict = describe_outcome(outcome.tested);
                     let warning = outcome.tested.warning.map(describe_warning);
                     ReportCell::text(match warning {
                         Some(warning) => format!("{verdict}; {warning}"),

@@ -10,6 +10,7 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, GateResult};
+use crumple_core::markdown::prose_name;
 use crumple_spaces::built_in_space_summary;
 
 /// Every claim about every controller.
@@ -236,7 +237,7 @@ fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
         let explanation =
             built_in_space_summary(&space).unwrap_or_else(|| first_clause(&space.spec().about));
         NameExplanation {
-            name: format!("space `{}`", space.name()),
+            name: format!("space `{}`", prose_name(space.name())),
             explanation: explanation.to_owned(),
         }
     });
@@ -335,7 +336,8 @@ const LEVELS: [&str; 6] = [
     "bounded: a bound of the failure rate with its confidence level (`≤ 0.24 % (99.9 %)`), or a certified comparison",
     "tested: no failure in these runs (`0 of 1000`), fewer failures in the same runs (`0 against 1000`), or the \
      largest gain; other runs may fail",
-    "refuted: runs that fail, distinct failures of a search, a lower bound of the failure rate, or the largest gain",
+    "refuted: runs that fail (`points`: mean speeds and frequencies), distinct failures of a search, a lower bound of \
+     the failure rate, the largest gain, or more failures in counted runs (`more (99.9 %)`)",
     "not shown: evidence was gathered, about the claim or a part of its domain, and does not decide the claim",
     "not examined: no evidence about the claim was gathered",
 ];

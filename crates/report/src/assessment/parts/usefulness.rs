@@ -187,7 +187,7 @@ impl UsefulnessReport {
         let others = other_spaces(plan)
             .map(|named| {
                 let scenarios = draw_scenarios(&named.space, seed, 0..count)?;
-                Ok((named.space.name().to_owned(), scenarios))
+                Ok((named.content_id.name.clone(), scenarios))
             })
             .collect::<Result<Vec<_>, AssessError>>()?;
         let controllers = plan

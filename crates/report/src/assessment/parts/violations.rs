@@ -119,9 +119,8 @@ impl ViolatingScenarios {
                     ReportCell::text(&scenario.claim)
                 }),
                 ("scenario, or its simulation", &|scenario| {
-                    let file = || scenario.file.clone();
-                    let shown = scenario.replay.as_ref().map(ToString::to_string);
-                    ReportCell::text(format!("`{}`", shown.unwrap_or_else(file)))
+                    let replay = scenario.replay.as_ref();
+                    replay.map_or_else(|| ReportCell::code(&scenario.file), ReportCell::code)
                 }),
             ],
         )
@@ -174,8 +173,7 @@ impl ReportedClaim<'_> {
         let own = own.filter(|piece| piece.claim == *self.claim);
         let mut pieces = deciding.into_iter().chain(own);
         let (space, drawn) = pieces.find_map(drawn_violation)?;
-        let all = plan.all_spaces();
-        let scenario_space = all.iter().find(|other| other.name() == space.name)?;
+        let scenario_space = plan.find_space(space)?;
         Some(ScenarioFile {
             path: format!(
                 "{FOLDER}/{}-{}-{}.toml",

@@ -174,8 +174,12 @@ impl Counterexample {
         if let Some(survives) = self.survives_multi_body {
             writeln!(
                 out,
-                "      with the multi-body plant: {}",
-                if survives { "fails" } else { "no failure" }
+                "      with the multi-body plant, the controller {}",
+                if survives {
+                    "fails, too"
+                } else {
+                    "does not fail"
+                }
             )?;
         }
         let changed: Vec<_> = self.changed.iter().map(ToString::to_string).collect();
@@ -214,7 +218,7 @@ impl Counterexample {
         };
         match self.vehicles_involved {
             0 => format!("{delta_v}{harm}no vehicle collided"),
-            vehicles => format!("{delta_v}{harm}{vehicles} vehicles involved"),
+            vehicles => format!("all collisions: {delta_v}{harm}{vehicles} vehicles involved"),
         }
     }
 }

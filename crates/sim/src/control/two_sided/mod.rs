@@ -1,17 +1,18 @@
 //! A shield for both sides: passes commands after which a plan avoids the leader and is not hit by the follower.
 //!
-//! A plan brakes, holds its speed until the follower's brake fires, then accelerates, or not, as long as possible, and
-//! brakes fully. A state is in S if some plan satisfies two conditions for the worst leader and the worst follower of a
-//! class ([`FollowerClass`]):
+//! A plan brakes until the follower's brake fires, or holds a speed after some braking, then accelerates, or not, as
+//! long as possible, and brakes fully. A state is in S if some plan satisfies two conditions for the worst leader and
+//! the worst follower of a class ([`FollowerClass`]):
 //!
 //! ```text
 //! (A)  min over t of  U(t) - x(t) >= m      U: a leader that brakes at its limit
 //! (B)  min over t of  x(t) - L(t) >= m      L: the farthest follower of the class
 //! ```
 //!
-//! A command passes if the state after it is in S; otherwise the filter executes its stored plan. The rest of a plan is
-//! a plan, so no state leaves S. Both conditions are minima of piecewise quadratic functions, which are evaluated at
-//! ends and vertices ([`path`]); the rounding of all terms is subtracted from the result.
+//! A command passes if the state after it is in S. Otherwise the filter executes a command near its last one after
+//! which the state is in S, or its stored plan. The rest of a plan is a plan, so no state leaves S. Both conditions are
+//! minima of piecewise quadratic functions, which are evaluated at ends and vertices ([`path`]); the rounding of all
+//! terms is subtracted from the result.
 //!
 //! The *level* of a state is the hardest braking of the leader for which the state is in S.
 //!

@@ -8,6 +8,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use super::order::compare_strengths;
+use super::runs::{RandomRuns, compare_other_runs, family};
 use crate::assessment::CertificateStatus;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, InferenceRule, Property, Strength,
@@ -17,7 +18,10 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_sim::observation::EstimatorKind;
 
 /// The results by name and domain hash. The hash separates results of spaces and scenarios that have the same name.
-pub(super) type Facts = BTreeMap<(String, String), Fact>;
+pub(super) type Facts = BTreeMap<FactKey, Fact>;
+
+/// Name of a result, and hash of its domain.
+pub(super) type FactKey = (String, String);
 
 /// A result with its description.
 #[derive(Debug, Clone)]
@@ -31,6 +35,37 @@ pub(super) struct Fact {
     /// True for a claim about a whole domain that only a refuted claim about a part refutes, which is a result of its
     /// own: the same runs, listed once.
     pub(super) is_restated: bool,
+    /// Text that is equal for results which differ in their random runs only.
+    pub(super) family: Option<String>,
+    /// Random runs behind the result.
+    pub(super) runs: Option<RandomRuns>,
+}
+
+impl Fact {
+    fn new(measure: Measure, description: String) -> Self {
+        Self {
+            measure,
+            description,
+            is_failure: false,
+            collides: None,
+            is_restated: false,
+            family: None,
+            runs: None,
+        }
+    }
+
+    /// Compares with an earlier result: greater is better. `None` if neither result is better, because the quantities
+    /// are unlike, only the avoidability of failures changed, or the difference may be that of the runs.
+    pub(super) fn compare(&self, before: &Self) -> Option<Ordering> {
+        let other_runs = self.runs.as_ref().zip(before.runs.as_ref());
+        let other_runs = other_runs.filter(|(now, before)| now.difference(before).is_some());
+        match (&before.measure, &self.measure, other_runs) {
+            (Measure::Claim(before, _), Measure::Claim(now, _), Some((now_runs, before_runs))) => {
+                compare_other_runs((before, before_runs), (now, now_runs))
+            }
+            (before, now, _) => now.compare(before),
+        }
+    }
 }
 
 /// The comparable content of a result.
@@ -42,14 +77,15 @@ pub(super) enum Measure {
     GapM(f64),
     /// True if the checker accepted a certificate.
     Accepted(bool),
+    /// True if the checker accepted a certificate of counted runs, and the description of these runs.
+    AcceptedCount(bool, String),
     /// A kind of failure that a search found. The claim about the search compares their numbers.
     Found,
 }
 
 impl Measure {
-    /// Compares with an earlier result: greater is better. `None` if neither result is better, because the quantities
-    /// are unlike or only the avoidability of failures changed.
-    pub(super) fn compare(&self, before: &Self) -> Option<Ordering> {
+    /// Compares with an earlier result of the same runs.
+    fn compare(&self, before: &Self) -> Option<Ordering> {
         match (before, self) {
             (Self::Claim(before, before_domain), Self::Claim(now, now_domain)) => {
                 let is_known = before_domain.is_some() && now_domain.is_some();
@@ -57,6 +93,9 @@ impl Measure {
             }
             (Self::GapM(before), Self::GapM(now)) => Some(now.total_cmp(before)),
             (Self::Accepted(before), Self::Accepted(now)) => Some(now.cmp(before)),
+            (Self::AcceptedCount(before, earlier_runs), Self::AcceptedCount(now, runs)) => {
+                (before == now || earlier_runs == runs).then(|| now.cmp(before))
+            }
             (Self::Found, Self::Found) => Some(Ordering::Equal),
             _ => None,
         }
@@ -77,7 +116,7 @@ pub(super) fn read_facts(evidence: &Value) -> Result<Facts, String> {
     let mut facts = Facts::new();
     let claims = add_claims(evidence, &mut facts)?;
     add_gaps(evidence, &claims, &mut facts)?;
-    add_failures(evidence, &claims, &mut facts)?;
+    add_failures(evidence, &claims, &RandomRuns::all(evidence), &mut facts)?;
     add_certificates(evidence, &mut facts)?;
     Ok(facts)
 }
@@ -89,19 +128,19 @@ fn add_certificates(evidence: &Value, facts: &mut Facts) -> Result<(), String> {
         let name: String = read(&proof, "name")?;
         let statement: String = read(&proof, "statement")?;
         let about: String = read(&proof, "about")?;
-        facts.insert(
-            (
-                format!("certificate {name}: {statement}, {about}"),
-                String::new(),
-            ),
-            Fact {
-                measure: Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. })),
-                description: status.describe(),
-                is_failure: false,
-                collides: None,
-                is_restated: false,
-            },
-        );
+        let is_accepted = matches!(status, CertificateStatus::Accepted { .. });
+        let is_count = matches!(statement.as_str(), "rate" | "comparison");
+        let key = format!("certificate {name}: {statement}, {about}");
+        let measure = match is_count {
+            true => Measure::AcceptedCount(is_accepted, about),
+            false => Measure::Accepted(is_accepted),
+        };
+        let fact = Fact {
+            // More runs are another certificate of the same name.
+            family: is_count.then(|| format!("certificate {name}: {statement}")),
+            ..Fact::new(measure, status.describe())
+        };
+        facts.insert((key, String::new()), fact);
     }
     Ok(())
 }
@@ -144,6 +183,7 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<AssuranceClaim>
     let all_claims = read_claims(&rows)?;
     for row in &rows {
         let claim_text: String = read(row, "claim")?;
+        let part: String = read(row, "part")?;
         let claims: Vec<Option<AssuranceClaim>> = read(row, "claims")?;
         let statuses: Vec<Value> = read(row, "statuses")?;
         let strengths: Vec<Strength> = read(row, "statuses")?;
@@ -158,36 +198,50 @@ fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<AssuranceClaim>
             // A claim that nothing decides is absent: neither better nor worse.
             if !matches!(strength, Strength::Untried | Strength::NotShown) {
                 let domain = claim.as_ref().map_or_else(String::new, claim_hash);
-                let collides = claim
-                    .as_ref()
-                    .and_then(|claim| claim_collides(claim, &strength));
-                facts.insert(
-                    (format!("{controller}: {claim_text}"), domain),
-                    Fact {
-                        description: strength.describe(),
-                        is_failure: strength.is_refutation(),
-                        collides,
-                        is_restated: is_restated(evidence, &all_claims, status),
-                        measure: Measure::Claim(strength, deciding_domain(evidence, status)),
-                    },
-                );
+                let fact = Fact {
+                    is_restated: is_restated(evidence, &all_claims, status),
+                    family: claim
+                        .as_ref()
+                        .and_then(|claim| family(claim, &part))
+                        .map(|family| format!("{controller} {family}")),
+                    ..claim_fact(evidence, claim.as_ref(), strength, status)
+                };
+                facts.insert((format!("{controller}: {claim_text}"), domain), fact);
             }
         }
     }
     Ok(all_claims)
 }
 
-/// Returns the hash of the domain of the first piece of evidence behind a status, and of the number of its runs if they
-/// bound a rate: more runs give narrower bounds of the same rate.
-fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
-    let index = status.pointer("/evidence/0")?.as_u64()?;
-    let domain = evidence.pointer(&format!("/evidence/{index}/claim/domain"))?;
-    let mut domain = hash(&Domain::deserialize(domain).ok()?);
-    let strength: Strength = read(evidence, &format!("evidence/{index}")).ok()?;
-    if let Strength::Between { runs, .. } = strength {
-        domain += &format!(" {runs} runs");
+/// Returns the status of a claim as a result.
+fn claim_fact(
+    evidence: &Value,
+    claim: Option<&AssuranceClaim>,
+    strength: Strength,
+    status: &Value,
+) -> Fact {
+    let description = strength.describe();
+    Fact {
+        is_failure: strength.is_refutation(),
+        collides: claim.and_then(|claim| claim_collides(claim, &strength)),
+        runs: deciding_evidence(evidence, status).and_then(RandomRuns::from_evidence),
+        ..Fact::new(
+            Measure::Claim(strength, deciding_domain(evidence, status)),
+            description,
+        )
     }
-    Some(domain)
+}
+
+/// Returns the first piece of evidence behind a status.
+fn deciding_evidence<'a>(evidence: &'a Value, status: &Value) -> Option<&'a Value> {
+    let index = status.pointer("/evidence/0")?.as_u64()?;
+    evidence.pointer(&format!("/evidence/{index}"))
+}
+
+/// Returns the hash of the domain of the first piece of evidence behind a status.
+fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
+    let domain = deciding_evidence(evidence, status)?.pointer("/claim/domain")?;
+    Some(hash(&Domain::deserialize(domain).ok()?))
 }
 
 /// True if the status of a claim follows from evidence about a part of its domain, and the report also makes the claim
@@ -196,10 +250,8 @@ fn is_restated(evidence: &Value, claims: &[AssuranceClaim], status: &Value) -> b
     let rule = status
         .get("rule")
         .and_then(|rule| InferenceRule::deserialize(rule).ok());
-    let claim_of_part = status
-        .pointer("/evidence/0")
-        .and_then(Value::as_u64)
-        .and_then(|index| evidence.pointer(&format!("/evidence/{index}/claim")))
+    let claim_of_part = deciding_evidence(evidence, status)
+        .and_then(|piece| piece.get("claim"))
         .and_then(|part| AssuranceClaim::deserialize(part).ok());
     rule == Some(InferenceRule::RefutedInPart)
         && claim_of_part.is_some_and(|part| claims.contains(&part))
@@ -255,11 +307,8 @@ fn add_gaps(evidence: &Value, claims: &[AssuranceClaim], facts: &mut Facts) -> R
                 facts.insert(
                     key,
                     Fact {
-                        measure: Measure::GapM(gap_m),
-                        description,
-                        is_failure: false,
                         collides: Some(collides),
-                        is_restated: false,
+                        ..Fact::new(Measure::GapM(gap_m), description)
                     },
                 );
             }
@@ -278,6 +327,7 @@ fn collides(case: &Value) -> Result<bool, String> {
 fn add_failures(
     evidence: &Value,
     claims: &[AssuranceClaim],
+    all_runs: &[RandomRuns],
     facts: &mut Facts,
 ) -> Result<(), String> {
     for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
@@ -292,32 +342,37 @@ fn add_failures(
             .map_or_else(|| content.clone(), claim_hash);
         for search in read::<Vec<Value>>(&space, "controllers")? {
             let controller: String = read(&search, "controller")?;
-            let mut kinds: BTreeMap<String, [usize; 2]> = BTreeMap::new();
-            for failure in read::<Vec<Value>>(&search, "failures")? {
-                let is_avoidable =
-                    read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
-                let [count, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
-                *count += 1;
-                *avoidable += usize::from(is_avoidable);
-            }
+            let mut runs = all_runs.iter();
+            let runs = runs.find(|runs| runs.is_search_of(&controller, &content));
+            let kinds = count_kinds(read(&search, "failures")?)?;
             for (kind, [count, avoidable]) in kinds {
-                let key = (
-                    format!("{controller}: failure in `{name}`: {kind}"),
-                    domain.clone(),
-                );
+                let what = format!("{controller}: failure in `{name}`: {kind}");
+                let key = (what, domain.clone());
                 let description = format!("{count} found, {avoidable} avoidable");
                 facts.insert(
                     key,
                     Fact {
-                        measure: Measure::Found,
-                        description,
                         is_failure: true,
-                        collides: None,
-                        is_restated: false,
+                        family: Some(format!("{controller} failure in {content}: {kind}")),
+                        runs: runs.cloned(),
+                        ..Fact::new(Measure::Found, description)
                     },
                 );
             }
         }
     }
     Ok(())
+}
+
+/// Counts the failures of each kind, all and avoidable ones.
+fn count_kinds(failures: Vec<Value>) -> Result<BTreeMap<String, [usize; 2]>, String> {
+    let mut kinds: BTreeMap<String, [usize; 2]> = BTreeMap::new();
+    for failure in failures {
+        let is_avoidable =
+            read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
+        let [count, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
+        *count += 1;
+        *avoidable += usize::from(is_avoidable);
+    }
+    Ok(kinds)
 }

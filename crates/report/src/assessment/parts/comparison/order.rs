@@ -64,6 +64,7 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
                 confidence_percent, ..
             },
         ) => Some(confidence_percent.value().total_cmp(&before.value())),
+        // More failures of the other controller are no improvement of the subject.
         (
             Strength::Compared {
                 own: before,
@@ -71,11 +72,7 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
                 ..
             },
             Strength::Compared { own, runs, .. },
-        ) => {
-            // More failures of the other controller are no improvement of the subject.
-            let is_changed = own != before && runs == before_runs;
-            is_changed.then(|| before.cmp(own))
-        }
+        ) => (own != before && runs == before_runs).then(|| before.cmp(own)),
         (
             Strength::Gain {
                 largest: before, ..
@@ -99,10 +96,21 @@ fn compare_searches(
     }
 }
 
+/// Returns the failing runs, those without an answer among them, and all runs, also without a failure. For a
+/// comparison, those of the subject.
+pub(super) fn counted_failures(strength: &Strength) -> Option<[u64; 2]> {
+    match *strength {
+        Strength::Tested { runs } => Some([0, runs]),
+        Strength::Compared { own, runs, .. } => Some([own, runs]),
+        _ => failing_runs(strength),
+    }
+}
+
 /// Returns the failing runs, those without an answer among them, and all runs.
 fn failing_runs(strength: &Strength) -> Option<[u64; 2]> {
     match *strength {
         Strength::Refuted { failures, runs } => Some([failures, runs]),
+        Strength::FailedPoints { failures, points } => Some([failures, points]),
         Strength::Unanswered {
             unanswered,
             failures,

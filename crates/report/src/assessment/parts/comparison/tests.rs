@@ -2,15 +2,19 @@ use std::cmp::Ordering::{Equal, Greater, Less};
 
 use super::fact::{Fact, Measure};
 use super::order::compare_strengths;
+use super::runs::RunOrigin;
 use super::*;
 use crate::assessment::Rounded;
 use crate::assessment::claims::Strength;
+use crumple_sim::observation::EstimatorKind;
 
 fn earlier(facts: &[(&str, Strength)]) -> EarlierAssessment {
     EarlierAssessment {
+        text: String::new(),
         sha256: String::new(),
         config_sha256: String::new(),
         facts: facts_of(facts),
+        runs: Vec::new(),
     }
 }
 
@@ -20,6 +24,8 @@ fn facts_of(facts: &[(&str, Strength)]) -> Facts {
         is_failure: strength.is_refutation(),
         collides: Some(strength.is_refutation()),
         is_restated: false,
+        family: None,
+        runs: None,
         measure: Measure::Claim(strength.clone(), None),
     };
     facts
@@ -97,6 +103,7 @@ fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
         own,
         other,
         runs: 100,
+        unanswered: 0,
     };
     let unanswered = |unanswered, failures| Strength::Unanswered {
         unanswered,
@@ -258,4 +265,168 @@ fn a_refutation_of_a_part_is_listed_once() {
         .collect();
     assert_eq!(worse, ["proof: anywhere", "search"]);
     assert!(comparison.new.is_empty() && comparison.gone.is_empty());
+}
+
+/// Returns a claim about random scenarios, whose name has their number, with the runs behind it.
+fn in_runs(strength: Strength, seed: u64, count: u64, is_search: bool) -> Facts {
+    let name = format!("in {count} of seed {seed}");
+    let mut facts = facts_of(&[(name.as_str(), strength)]);
+    for fact in facts.values_mut() {
+        fact.family = Some("family".to_owned());
+        fact.runs = Some(RandomRuns {
+            origin: RunOrigin {
+                controller: "own".to_owned(),
+                estimator: EstimatorKind::Kalman,
+                space_sha256: "space".to_owned(),
+                is_search,
+            },
+            seed: Some(seed),
+            count,
+            bounds_percent: None,
+        });
+    }
+    facts
+}
+
+fn compare_facts(before: &Facts, now: &Facts) -> AssessmentComparison {
+    let mut earlier = earlier(&[]);
+    earlier.facts = before.clone();
+    earlier.runs = before
+        .values()
+        .filter_map(|fact| fact.runs.clone())
+        .collect();
+    AssessmentComparison::from_facts(&earlier, now, false)
+}
+
+/// Results of other runs are paired, and are better or worse only if the common runs or the intervals decide it.
+#[test]
+fn results_of_other_runs_are_compared_by_common_runs_or_intervals() {
+    let counted = |failures, runs, seed| {
+        let strength = Strength::from_counts(failures, runs);
+        in_runs(strength, seed, runs, false)
+    };
+    let searched = |failures: usize, seed, budget| {
+        let strength = match failures {
+            0 => tested(budget),
+            _ => falsified(failures, failures),
+        };
+        in_runs(strength, seed, budget, true)
+    };
+    let label = |before: &Facts, now: &Facts| {
+        let case = compare_facts(before, now);
+        assert!(case.new.is_empty() && case.gone.is_empty(), "{case:?}");
+        match (&case.better[..], &case.worse[..], &case.changed[..]) {
+            ([], [worse], []) if worse.is_new_collision => NEW_COLLISION,
+            ([], [_], []) => WORSE,
+            ([_], [], []) => "better",
+            ([], [], [changed]) => changed.other_runs.expect("other runs"),
+            ([], [], []) => "unchanged",
+            _ => panic!("{case:?}"),
+        }
+    };
+    let (other_seed, other_search) = ("runs of another seed", "search with another seed");
+    let [more, fewer] = ["more runs", "fewer runs"];
+    let [larger, smaller] = ["larger search", "smaller search"];
+    let cases = [
+        // At least two of the first twenty runs fail now.
+        (
+            counted(0, 20, 0),
+            counted(3, 21, 0),
+            NEW_COLLISION,
+            "better",
+        ),
+        (counted(0, 20, 0), counted(3, 21, 1), other_seed, other_seed),
+        (counted(0, 200, 0), counted(3, 2000, 0), more, fewer),
+        (counted(85, 200, 0), counted(420, 1000, 0), more, fewer),
+        (counted(85, 200, 0), counted(700, 1000, 1), WORSE, "better"),
+        (counted(0, 200, 0), counted(0, 2000, 0), more, fewer),
+        (searched(0, 0, 40), searched(2, 0, 80), larger, smaller),
+        (
+            searched(0, 0, 80),
+            searched(2, 0, 40),
+            NEW_COLLISION,
+            "better",
+        ),
+        (searched(2, 0, 40), searched(5, 0, 80), larger, smaller),
+        (
+            searched(0, 0, 40),
+            searched(2, 1, 40),
+            other_search,
+            other_search,
+        ),
+    ];
+    for (before, now, expected, reverse) in cases {
+        assert_eq!(label(&before, &now), expected, "{before:?} to {now:?}");
+        assert_eq!(label(&now, &before), reverse, "{now:?} to {before:?}");
+    }
+}
+
+/// Bounds of a rate from other numbers of runs decide only if they are disjoint, whatever they decide about a claim.
+#[test]
+fn bounds_from_other_runs_decide_if_they_are_disjoint() {
+    let bounded = |strength, bounds_percent, count| {
+        let mut facts = in_runs(strength, 0, count, false);
+        let runs = facts.values_mut().filter_map(|fact| fact.runs.as_mut());
+        runs.for_each(|runs| runs.bounds_percent = Some(bounds_percent));
+        facts
+    };
+    let confidence_percent = Rounded::new(99.9);
+    let at_most_one = Strength::Bounded {
+        upper_percent: Rounded::new(0.7),
+        confidence_percent,
+    };
+    let open = Strength::Undecided {
+        lower_percent: Rounded::new(0.0),
+        upper_percent: Rounded::new(9.0),
+        confidence_percent,
+    };
+    let above = Strength::Exceeded {
+        lower_percent: Rounded::new(1.5),
+        confidence_percent,
+    };
+    let many = bounded(at_most_one, [0.0, 0.7], 1000);
+    let few = bounded(open, [0.0, 9.0], 100);
+    let other = bounded(above, [1.5, 30.0], 300);
+    for (before, now) in [(&many, &few), (&few, &many), (&few, &other)] {
+        let case = compare_facts(before, now);
+        assert_eq!(
+            (case.changed.len(), case.worse.len(), case.better.len()),
+            (1, 0, 0)
+        );
+    }
+    assert_eq!(compare_facts(&many, &other).worse.len(), 1);
+    assert_eq!(compare_facts(&other, &many).better.len(), 1);
+}
+
+/// A failure that the earlier assessment lacks is new, unless it had fewer or other runs of the same kind.
+#[test]
+fn a_failure_that_only_a_larger_search_finds_is_not_new() {
+    let none = |seed, budget| in_runs(tested(budget), seed, budget, true);
+    let kind = |seed, budget| {
+        let mut facts = facts_of(&[("a kind of failure", falsified(1, 1))]);
+        let runs = none(seed, budget).into_values().find_map(|fact| fact.runs);
+        facts
+            .values_mut()
+            .for_each(|fact| fact.runs.clone_from(&runs));
+        facts
+    };
+    for (before, difference) in [
+        (none(0, 40), Some("larger search")),
+        (none(1, 80), Some("search with another seed")),
+        (none(0, 80), None),
+        (Facts::new(), None),
+    ] {
+        let case = compare_facts(&before, &kind(0, 80));
+        let changed: Vec<_> = case
+            .changed
+            .iter()
+            .map(|change| change.other_runs)
+            .collect();
+        assert_eq!(changed, Vec::from_iter(difference.map(Some)), "{before:?}");
+        assert_eq!(
+            case.new.len(),
+            usize::from(difference.is_none()),
+            "{before:?}"
+        );
+    }
 }
