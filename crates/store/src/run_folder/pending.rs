@@ -16,8 +16,12 @@ pub(super) enum PendingChange {
     /// The file `unfinished`, beside the manifest, will replace `name`.
     Place { unfinished: String, name: String },
     /// The file will be removed; `old_state` was its state.
-    #[serde(rename = "was")]
-    Remove { name: String, old_state: FileState },
+    #[serde(alias = "was")]
+    Remove {
+        name: String,
+        #[serde(alias = "was")]
+        old_state: FileState,
+    },
 }
 
 impl PendingChange {
@@ -76,4 +80,28 @@ pub(super) fn is_inside_folder(name: &str) -> bool {
     Path::new(name)
         .components()
         .all(|part| matches!(part, Component::Normal(_)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::PendingChange;
+
+    #[test]
+    fn removals_announced_by_earlier_versions_are_read() {
+        let state = r#"{"whole":{"bytes":3,"sha256":"00"}}"#;
+        let read = |tag: &str, field: &str| {
+            serde_json::from_str::<PendingChange>(&format!(
+                r#"{{"{tag}":{{"name":"a","{field}":{state}}}}}"#
+            ))
+            .unwrap()
+        };
+        let present = read("remove", "old_state");
+        assert_eq!(present, read("remove", "was"));
+        assert_eq!(present, read("was", "old_state"));
+        let written = serde_json::to_string(&present).unwrap();
+        assert_eq!(
+            written,
+            format!(r#"{{"remove":{{"name":"a","old_state":{state}}}}}"#)
+        );
+    }
 }
