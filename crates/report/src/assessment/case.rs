@@ -221,7 +221,7 @@ impl CaseVerdict {
             Self::Hit(collision) => collision.describe_hit(),
             Self::WasHit(collision) => collision.describe_hit_from_behind(),
             Self::HitByRecording(collision) => format!(
-                "{} (recorded speeds, blames no controller)",
+                "{} (recorded speeds, does not count against the controller)",
                 collision.describe_hit_from_behind()
             ),
             Self::ControllerFailed {
@@ -243,7 +243,7 @@ fn closing_ttc_s(trace: &Trace, rear: usize) -> Option<f64> {
     let pairs = trace.pairs(rear);
     let pair = pairs.last().filter(|pair| pair.span_s[1].is_infinite())?;
     let closing_mps = pair.rear.speed_mps.last()? - pair.front.speed_mps.last()?;
-    crumple_measure::ttc_s(pair.gaps_m().last()?.1, closing_mps)
+    crumple_measure::ttc_s(pair.gaps_m().next_back()?.1, closing_mps)
         .filter(|&ttc_s| ttc_s < STILL_CLOSING_TTC_S)
 }
 

@@ -181,7 +181,7 @@ pub struct VehiclePair<'a> {
 
 impl<'a> VehiclePair<'a> {
     /// Returns the gap in metres at each sample within `span_s`, with the index of the sample.
-    pub fn gaps_m(&self) -> impl Iterator<Item = (usize, f64)> + use<'a> {
+    pub fn gaps_m(&self) -> impl DoubleEndedIterator<Item = (usize, f64)> + use<'a> {
         let Self { front, rear, .. } = *self;
         self.samples().filter_map(move |sample| {
             let [front_m, rear_m] = [front.position_m.get(sample)?, rear.position_m.get(sample)?];

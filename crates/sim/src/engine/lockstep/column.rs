@@ -46,7 +46,7 @@ pub(super) struct VehicleColumn<'a> {
 
 impl<'a> VehicleColumn<'a> {
     pub(super) fn new(lanes: &[RunLane<'a>], platoons: &[PlatoonState], vehicle: usize) -> Self {
-        let decision_times =
+        let per_run =
             |take: &dyn Fn(&PlatoonState) -> f64| PerRun::from_values(platoons.iter().map(take));
         let actuators: Vec<_> = lanes
             .iter()
@@ -83,11 +83,11 @@ impl<'a> VehicleColumn<'a> {
                     .map(|lane| Disturbance::new(lane.run.scenario(), vehicle))
                     .collect(),
             ),
-            length_m: decision_times(&|platoon| platoon.length_m[vehicle]),
-            mass_kg: decision_times(&|platoon| platoon.mass_kg[vehicle]),
-            position_m: decision_times(&|platoon| platoon.motion[vehicle].position_m),
-            speed_mps: decision_times(&|platoon| platoon.motion[vehicle].speed_mps),
-            min_gap_m: decision_times(&|platoon| platoon.min_gap_m[vehicle]),
+            length_m: per_run(&|platoon| platoon.length_m[vehicle]),
+            mass_kg: per_run(&|platoon| platoon.mass_kg[vehicle]),
+            position_m: per_run(&|platoon| platoon.motion[vehicle].position_m),
+            speed_mps: per_run(&|platoon| platoon.motion[vehicle].speed_mps),
+            min_gap_m: per_run(&|platoon| platoon.min_gap_m[vehicle]),
             acceleration_mps2: nothing.clone(),
             next_acceleration_mps2: nothing.clone(),
             next_position_m: nothing.clone(),
