@@ -45,7 +45,7 @@
 //! let baseline = BuiltInController::from_name("baseline").ok_or("not built in")?;
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
 //! let result = simulate(&run, RecordingLevel::Summary);
-//! // The baseline avoids the vehicle ahead and is hit from behind, by a lorry that drives `baseline`, too.
+//! // The baseline avoids the vehicle ahead and is hit from behind, by a lorry that `baseline` drives, too.
 //! assert!(matches!(result.outcome, Outcome::Collision(collision) if collision.rear_vehicle == 2));
 //! # Ok(())
 //! # }

@@ -1,4 +1,4 @@
-"""Prints inputs of a controller file from the statistics that `VecNormalize.save` wrote.
+"""Prints the tables `[[inputs]]` of a controller file from the statistics that `VecNormalize.save` wrote.
 
     python vecnormalize.py vecnormalize.pkl
 

@@ -1,5 +1,5 @@
-//! Compares `auto` with the methods it consists of, in all built-in scenario spaces, over several seeds, with a test of
-//! chance.
+//! Compares `auto` with the methods it consists of, in eight built-in scenario spaces, over several seeds, with a test
+//! of chance.
 //!
 //! ```sh
 //! cargo run --release -p crumple-experiments -- search_comparison 1000 5        # evaluations of each method, seeds
@@ -17,7 +17,7 @@ use crumple::search::falsify::campaign::CampaignSummary;
 use crumple::spaces::built_in_space;
 use crumple::{Campaign, Quiet, Study};
 
-/// Every built-in scenario space, and a controller that seldom fails in it.
+/// Built-in scenario spaces, each with a controller that seldom fails in it.
 const PROBLEMS: [(&str, &str); 8] = [
     ("paper", "match-leader"),
     ("high-risk", "retrained"),

@@ -16,10 +16,11 @@ use crumple_store::disk::StagedFiles;
 /// Output options.
 #[derive(Args)]
 pub(super) struct ArtifactArgs {
-    /// Write the resulting scenario, for `crumple simulate`: the escape, or the worst case; replaces an existing file
+    /// Write the scenario with the escape (`avoid`), or with the braking or fault that was found (`worst-case`), for
+    /// `crumple simulate`; replaces an existing file
     #[arg(long, value_name = "F.toml")]
     out: Option<PathBuf>,
-    /// Plot the resulting scenario; replaces an existing file
+    /// Plot the same scenario; replaces an existing file
     #[arg(
         long,
         value_name = "F.svg|F.png",

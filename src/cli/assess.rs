@@ -35,10 +35,11 @@ A folder of scenarios may contain 10 000 files and 64 MiB. A certificate may hav
 Recordings have the limits of `import`.
 
 The folder `evidence` of the report caches evidence by the hash of all its inputs. Only evidence whose inputs changed \
-is computed again, and an interrupted assessment resumes. Each file contains hashes of the program, of its inputs and \
-of itself; crumple computes evidence again if its file was truncated, edited or replaced. The hashes do not protect \
-against a person who changes numbers and hashes together. If others can write to the folder, use --fresh, which \
-ignores existing evidence, or another folder. Every run checks all certificates, cached or not.";
+is computed again, and an interrupted assessment resumes. Each file contains the hash of the program crumple, that of \
+the inputs of the evidence, and that of the evidence itself. crumple computes evidence again if its file was \
+truncated, edited or replaced. The hashes do not protect against a person who changes numbers and hashes together. If \
+others can write to the folder, use --fresh, which ignores existing evidence, or another folder. Every run checks all \
+certificates, cached or not.";
 
 /// Returns the long help.
 fn long_help() -> String {

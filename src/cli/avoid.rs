@@ -22,16 +22,17 @@ use crumple_store::disk::StagedFiles;
 The vehicles under test may accelerate and brake freely within their limits and know the future; all other vehicles \
 keep their drivers. `avoidable` comes with an escape: accelerations, held over steps of --grid, whose replay has no \
 collision at the scenario's step and at a tenth of it. The search looks for the escape with the largest smallest gap; \
-a finer grid may find a larger one. A separate certificate states that no driver keeps a larger gap than the bound. \
-`unavoidable` comes with a proof about every possible driver, which the checker of `crumple check` accepted. Every \
-other result is `undecided`, with the reason.
+a finer grid may find a larger one. crumple also prints an upper bound of this gap, which no driver exceeds; \
+--bound-certificate proves it. `unavoidable` comes with a proof about every possible driver, which the checker of \
+`crumple check` accepted. Every other result is `undecided`, with the reason.
 
-Convex programs model a scripted leader, and a follower whose emergency brake is latched (brakes to standstill). If \
-another vehicle has another driver (idm, acc-aeb, a policy), crumple simulates some thousands of profiles with that \
-driver in the loop and shows the best one.
+The search and the proof solve convex programs. These model only a scripted leader, and a follower that drives \
+`baseline` without lag. With any other driver (idm, acc-aeb, a policy), crumple simulates some thousands of \
+acceleration profiles of the vehicles under test, with that driver in the loop, and the escape is the best of them. A \
+proof of `unavoidable` then concerns the collision with a scripted leader alone.
 
-At most 20 vehicles may be under test, with at most 50 000 vehicles times steps; the largest undecided problem takes \
-about two minutes.
+At most 20 vehicles may be under test. Their number times the number of steps may be at most 50 000. The largest \
+undecided problem takes about two minutes.
 
 Examples:
   crumple avoid paper-1
@@ -47,8 +48,8 @@ pub(super) struct Avoid {
     /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
-    /// Write a certificate that no driver keeps a larger gap than the bound, if there is an escape; replaces an
-    /// existing file
+    /// If there is an escape, write a certificate of the printed upper bound of the smallest gap, which no driver
+    /// exceeds; replaces an existing file
     #[arg(long, value_name = "F.json")]
     bound_certificate: Option<PathBuf>,
     #[command(flatten)]

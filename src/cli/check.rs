@@ -29,14 +29,16 @@ use crumple_sim::scenario::Scenario;
 #[derive(Args)]
 #[command(after_long_help = "\
 The checker (crate crumple-verify) uses no code of the simulator, the search or the solver: it reads the file \
-and recomputes everything in outward-rounded interval arithmetic. Then crumple derives the subject of the \
-certificate (scenario, box, space, controllers) again from the texts in the file, and compares it with the \
-statement. Exit code 1 if the checker rejects a certificate, if its subject differs from its statement or from the \
-scenario of --scenario, if the check exceeds --work-limit, or if --rerun finds other counts; else 2 if a file is no \
-certificate or cannot be checked. An error in one certificate does not prevent the results of the others.
+and recomputes everything except counts of runs (see below) in outward-rounded interval arithmetic. Then crumple \
+derives the subject of the certificate (scenario, box, space, controllers) again from the texts in the file, and \
+compares it with the statement. Exit code 1 if the checker rejects a certificate, if its subject differs from its \
+statement or from the scenario of --scenario, if the check exceeds --work-limit, or if --rerun finds other counts; \
+else 2 if a file is no certificate or cannot be checked. An error in one certificate does not prevent the results of \
+the others.
 
 The checker cannot confirm the counts of a rate or a comparison. --rerun simulates them again, either all or a share \
-of the blocks. The selection is random by default, so that the author of a certificate cannot predict it.
+of the blocks (each but the last has at least 100 consecutive runs). The selection is random by default, so that \
+the author of a certificate cannot predict it.
 
 --pool derives one rate from the certificates of `verify rate` with several seeds. They must have the same \
 controller, space, estimator, number of runs, confidence level and release, and the seeds must form a range without \
@@ -64,11 +66,11 @@ pub(super) struct Check {
     /// Also check that the certificates are about this scenario
     #[arg(long, value_name = "S")]
     scenario: Option<PathBuf>,
-    /// Policy file of certificates about a policy [default: the one next to the certificate]; for certificates about a
-    /// network, its source to read again (F.onnx, F.zip, or the controller file F.toml)
+    /// Policy or network file of the claim [default: the one next to the certificate], or the original file of a
+    /// network (F.onnx, F.zip, or the controller file F.toml), which crumple then imports again
     #[arg(long, value_name = "F")]
     policy: Option<PathBuf>,
-    /// Simulate counted runs again: all of them, or PERCENT of their blocks
+    /// Simulate counted runs again: all of them, or PERCENT of their blocks (consecutive runs)
     #[arg(long, value_name = "PERCENT", num_args = 0..=1, require_equals = true, default_missing_value = "100",
           value_parser = parse_percent)]
     rerun: Option<f64>,

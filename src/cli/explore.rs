@@ -20,8 +20,8 @@ use crumple_sim::observation::EstimatorKind;
 #[command(after_long_help = "\
 Prints an address for the browser of this machine and serves it until Ctrl-C, only on 127.0.0.1 and only to requests \
 with the token in that address. The page loads nothing from other servers. A request may have 1 MiB and 400 000 \
-vehicle steps (summed over its controllers); the page shows the first 200 000 evaluations of a campaign, \
-and the first part of a recording (about 500 000 rows), of it at most 200 drives and 14 h.
+vehicle steps (summed over its controllers). The page shows the first 200 000 evaluations of a campaign. It reads the \
+first part of a recording (about 500 000 rows), and shows its first drives: at most 200, of together at most 14 h.
 
 Examples:
   crumple explore

@@ -26,11 +26,12 @@ Writes two files for each scenario: NAME.xosc, and the road NAME.xodr to which i
 
 A counterexample of a campaign is simulated with the controller and the estimator that its record states, unless \
 --controller names another. crumple looks for the file of the controller in the folder of the counterexample and in \
-the current one and, if the record has its hash, in all folders above the counterexample. It starts a program only \
-with --allow-external. `--as trajectories` (the default) simulates the scenario and writes the motion of every \
-vehicle: polylines with absolute times, in the mode `position`, within 2 mm of the simulation. If the simulation ends \
-with a collision, they end there, too. `--as actions` writes the actions of the scripted vehicles with triggers; every \
-other vehicle has a controller, `under-test` or the name of its driver, that you supply in the other simulator.
+the current one and, if the record has its hash, in all folders above the counterexample. If the record names a \
+program or an FMU, crumple starts it only with --allow-external. `--as trajectories` (the default) simulates the \
+scenario and writes the motion of every vehicle: polylines with absolute times, in the mode `position`, within 2 mm \
+of the simulation. If the simulation ends with a collision, they end there, too. `--as actions` writes the actions of \
+the scripted vehicles with triggers; every other vehicle has a controller, `under-test` or the name of its driver, \
+that you supply in the other simulator.
 
 OpenSCENARIO positions refer to the rear axle, which crumple places a fifth of the vehicle's length ahead of the \
 rear bumper.

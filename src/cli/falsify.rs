@@ -34,17 +34,17 @@ lists all files with their hashes: --resume refuses a folder with a truncated, e
 file among its results, and names the file. This does not protect against a person who changes the files and \
 `work.json` together.
 
---compare prints, for each method, the falsification rate, and the mean and median number of simulations up to the \
-first failure. Exact tests compare all pairs of methods on the same seeds (McNemar and sign test, with the correction \
-of Holm).
+--compare prints, for each method, the share of seeds with a failure (falsification rate), and the mean and median \
+number of simulations up to the first failure. Exact tests compare all pairs of methods on the same seeds (McNemar \
+and sign test, with the correction of Holm).
 
 --spec also takes these names (docs/glossary.md defines the terms):
   - `no braking without cause`: no unnecessary braking
   - `imposed braking at most 4 m/s2`: the follower brakes by at most 4 m/s²
   - `no amplification`: if all vehicles have the same initial speed, the vehicle's largest change of speed is at most \
 that of its leader
-With --against, a failure has two runs. Its robustness is max(r of the first run, -r of the other): negative if only \
-the first run fails.
+With --against, both controllers drive each scenario. The robustness is max(r, -p), with r of --controller and p of \
+--against: negative if only --controller fails.
 
 Formulas for --spec use signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 \
 and v1.jerk_mps3; vehicles are numbered from the front. A formula may have 4000 tokens, nested 64 deep, and a space \
@@ -74,14 +74,14 @@ Examples:
     --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
-    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
-    /// `exec:`
+    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), a controller file (F.toml), or a
+    /// command after `exec:`
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Scenario space to search: built-in (see `crumple list spaces`) or a file
     #[arg(long, value_name = "S", default_value = "high-risk")]
     space: String,
-    /// Search the recorded drives of a folder (see `crumple import --whole`) instead of a space: each drive once
+    /// Simulate each recorded drive of a folder once (see `crumple import --whole`), instead of a search of a space
     #[arg(
         long,
         value_name = "FOLDER",
@@ -304,7 +304,7 @@ fn show_progress(bar: &ProgressBar, state: &CampaignProgress) {
         (Some(method), _) => {
             bar.set_position(state.evaluations);
             bar.set_message(format!(
-                "{method}: {failures}, best {:.2};",
+                "{method}: {failures}, lowest robustness {:.2};",
                 state.best_robustness
             ));
         }

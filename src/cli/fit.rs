@@ -60,8 +60,8 @@ pub(super) struct Fit {
     #[arg(long, value_name = "N", default_value_t = 2)]
     #[arg(value_parser = args::whole_number::<u8>(2..=MAX_VEHICLES as u64))]
     vehicles: u8,
-    /// Driver of the last of three or more vehicles: a built-in controller or the model of a car, with its settings
-    /// [default: baseline]
+    /// Driver of the last of three or more vehicles, with its settings: a built-in controller, also a fitted model of a
+    /// production car (see `crumple list controllers`) [default: baseline]
     #[arg(long, value_name = "DRIVER", value_parser = parse_follower)]
     follower: Option<BuiltInController>,
     /// Name of the scenario space: 1 to 100 characters

@@ -14,16 +14,16 @@ use crumple_store::run_folder::{FolderReport, examine, is_run_folder};
 /// Check result folders for missing or modified files
 #[derive(Args)]
 #[command(after_long_help = "\
-A result folder of `crumple falsify`, `verify rate`, `train`, `retrain` or `tune` contains `work.json`, which states \
-the length and the SHA-256 of every file. `fsck` changes no file and names all damaged files. (Commands with --resume \
-stop at the first one.)
+A result folder of `crumple falsify`, `verify rate`, `retrain` or `tune`, and each folder `seed-N` of `train`, \
+contains `work.json`, which states the length and the SHA-256 of every other file. `fsck` changes no file and \
+names all damaged files. (Commands with --resume stop at the first one.)
 
 Damaged work cannot be resumed; start again with a new --out. The same seed gives the same results.
 
-`fsck` also names files that do not belong to the results. It does not check `training.json` and the learning curves \
-of a folder of trainings, which every `train` writes again. A report of `crumple assess` has a `work.json`, too; \
-`assess` checks the evidence in the folder `evidence` when it reuses it. To write a damaged report again, move changed \
-files away and run the same command again.
+`fsck` also names files that do not belong to the results. It does not check the files beside the folders `seed-N`: \
+`training.json` and the learning curves, which every `train` writes again. A report of `crumple assess` has a \
+`work.json`, too; `assess` checks the evidence in the folder `evidence` when it reuses it. To write a damaged report \
+again, move changed files away and run the same command again.
 The exit code is 1 if a file is damaged.
 
 `fsck` detects files that were truncated, edited, moved or lost. It does not detect changes by a person who also \

@@ -87,8 +87,9 @@ pub(super) struct Import {
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
     /// Driver of the vehicle behind those under test, the last of three or more: human (with a reaction time that
-    /// differs in each scenario), idm, baseline (coasts until the time to collision is 1.4 s), recorded (its speeds; a
-    /// collision with it counts against no controller), none, or any built-in controller or file
+    /// differs in each scenario), idm, baseline (holds its speed until the time to collision is below 1.4 s, then
+    /// brakes fully), recorded (its speeds; a collision with it does not count against the controller), none, or any
+    /// built-in controller or file
     #[arg(long, value_name = "NAME|FILE", default_value = "human")]
     follower: PathBuf,
     /// Write whole drives of at least 30 s instead of braking episodes: each vehicle behind its leader, with the next

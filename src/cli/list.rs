@@ -31,6 +31,12 @@ const FILE_ENTRY: (&str, &str) = (
      states its inputs and outputs: docs/controllers.md; `crumple describe F.zip` prints a starter file",
 );
 
+const SETTING_ENTRY: (&str, &str) = (
+    "NAME,SETTING=VALUE",
+    "a controller of this list with another value of a setting; (off): the value switches the setting off; meanings of \
+     settings: docs/reference/scenarios.md",
+);
+
 /// List the built-in scenarios, controllers, scenario spaces and search methods
 ///
 /// `crumple show NAME` prints a scenario, a scenario space, a vehicle class, a preset, a suite or a map as a file.
@@ -117,7 +123,7 @@ fn controller_entry(controller: &BuiltInController) -> CatalogueEntry {
     let settings: Vec<_> = controller
         .values()
         .map(|(field, value)| match field.none_value {
-            Some(none) if none == value => format!("{}={value} (none)", field.name),
+            Some(none) if none == value => format!("{}={value} (off)", field.name),
             _ => format!("{}={value}", field.name),
         })
         .collect();
@@ -162,6 +168,7 @@ fn format_catalogues(catalogues: &[Catalogue], all: bool, columns: usize) -> Str
         }
         if let Catalogue::Controllers = catalogue {
             write_entry(&mut text, FILE_ENTRY.0, FILE_ENTRY.1, columns);
+            write_entry(&mut text, SETTING_ENTRY.0, SETTING_ENTRY.1, columns);
         }
     }
     text

@@ -88,27 +88,27 @@ const TASKS: &[(&str, &[&str])] = &[
 ];
 const SETUP: &[&str] = &["new", "completions", "man"];
 /// Further subcommands that start no controller, whatever they read.
-const START_NOTHING: &[&str] = &["describe", "fsck", "list", "doctor"];
+const START_NOTHING: &[&str] = &["describe", "fsck", "list", "show", "doctor"];
 /// Version of the package and, in a release build, the commit: builds between two releases have the version of the
 /// earlier one.
 const VERSION: &str = env!("CRUMPLE_VERSION");
-/// Heading of the options in the help of every command.
-const FOR_EVERY_COMMAND: &str = "Options of every command";
+/// Heading of the options that every command takes, in its help.
+const COMMON_OPTIONS: &str = "Common options";
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
 #[derive(Parser)]
 #[command(version = VERSION, after_help = EXIT_CODES, max_term_width = 100)]
 struct Cli {
     /// Print no progress and no notes on standard error; errors are still shown
-    #[arg(long, short, global = true, help_heading = FOR_EVERY_COMMAND)]
+    #[arg(long, short, global = true, help_heading = COMMON_OPTIONS)]
     quiet: bool,
     /// Also start programs and FMUs that scenarios, spaces, suites, campaigns or certificates name. Without it, crumple
     /// starts only those named on this command line, or in a configuration or controller file that is named there
-    #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND)]
+    #[arg(long, global = true, help_heading = COMMON_OPTIONS)]
     allow_external: bool,
     /// Number of threads, 1 to 1024 [default: RAYON_NUM_THREADS, else OMP_NUM_THREADS, else the cores that this
     /// process may use]
-    #[arg(long, global = true, help_heading = FOR_EVERY_COMMAND)]
+    #[arg(long, global = true, help_heading = COMMON_OPTIONS)]
     #[arg(value_name = "N", value_parser = args::whole_number::<usize>(1..=1024))]
     jobs: Option<usize>,
     #[command(subcommand)]

@@ -21,7 +21,7 @@ const INSTALLATION: &str = "--git https://github.com/crumple-rs/crumple crumple"
 /// Tag of the release in the repository.
 const TAG: &str = concat!("v", env!("CARGO_PKG_VERSION"));
 
-/// Create a project for your own controller: tests, gates and, for Rust, a fuzz target
+/// Create a project for your own controller, with gates and, for Rust and Python, tests
 #[derive(Args)]
 #[command(after_long_help = "\
 The Rust crate has property tests, a fuzz target, gates and a GitHub workflow; the Python project has tests with \

@@ -22,11 +22,10 @@ use crumple_sim::observation::EstimatorKind;
 Reads the same recordings as `crumple import`. The controller takes the place of each vehicle that has a recorded \
 leader. It observes the recorded gaps, speeds and accelerations, and its commands change nothing. crumple lists each \
 braking that the controller would have begun, and the recorded driver's hardest braking during it and the next \
-second. Braking is unnecessary as in assessments (docs/glossary.md): more than 2 m/s² beyond the deceleration that \
-the vehicle ahead justifies. Rates have exact 95 % intervals of Poisson counts, which assume that unnecessary \
-brakings are independent. The recorded driver determines the distance, so that replay shows neither braking that \
-would have prevented a situation, nor whether the controller also brakes unnecessarily at the distance that it would \
-keep.
+second. Unnecessary braking is defined as in assessments (docs/glossary.md): more than 2 m/s² harder than the vehicle \
+ahead justifies. Rates have exact 95 % intervals of Poisson counts, which assume that unnecessary brakings are \
+independent. The gaps are those of the recorded driver. So replay does not show whether the controller, by its own \
+earlier braking, would have avoided a situation, or whether it brakes unnecessarily at the gaps that it would keep.
 
 Examples:
   crumple replay platoon.csv --controller acc-aeb
@@ -35,8 +34,8 @@ pub(super) struct LogReplay {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Controller: built-in (see `crumple list controllers`), a policy file, a network, a controller file (F.toml), or
-    /// a command after `exec:`
+    /// Controller: built-in (see `crumple list controllers`), a policy file, a network, an FMU (F.fmu), a controller
+    /// file (F.toml), or a command after `exec:`
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Meanings of the columns: a file (docs/exchange.md), or openacc, car-following, highd, ngsim or sumo-fcd

@@ -41,10 +41,12 @@ none, of the paper's distribution and --space), and evaluates the best checkpoin
 without fault, also by hard unnecessary braking and vehicles that fall behind (McNemar's exact one-sided test on the \
 same random scenarios, p below 0.01)
   - with `usefulness_draws` in the preset, drives of `traffic` do not have more collisions, hard unnecessary braking \
-or vehicles that fall behind; rms jerk and rms acceleration are at most 1 % above the larger value of the initial \
-policy and of `idm`; and the mean time gap is at most 1 % further outside 1.2 to 2.1 s
-  - with `usefulness_draws`, the same holds in drives of `everyday` in which `idm` has no fault (collision, hard \
-unnecessary braking, falling behind), and for their rms jerk; with --drives, also in the recorded drives
+or vehicles that fall behind; rms jerk and rms acceleration exceed the larger value of the initial policy and of \
+`idm` by at most 1 % of that of `idm`; and the mean time gap is at most 1 % further outside 1.2 to 2.1 s than that of \
+the initial policy
+  - with `usefulness_draws`, the number of drives of `everyday` in which the policy has a fault (collision, \
+unnecessary or hard unnecessary braking, falling behind) and `idm` has none does not increase, and the rms jerk there \
+has the same limit; with --drives, also in the recorded drives
   - with `usefulness_draws`, the last of five vehicles in a line changes its speed at most as much as the first, or as \
 before
 The retraining ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the \
@@ -89,7 +91,8 @@ pub(super) struct Retrain {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Evaluations of the search method per round and space, and of each reference search: 1 to 1 000 000
+    /// Evaluations per round and space of the search method, and of each of two reference searches (uniform points, a
+    /// Halton sequence): 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.budget)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     budget: u64,

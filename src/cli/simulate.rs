@@ -41,9 +41,9 @@ leader, and, within a time gap of 3 s, that of the leader. A vehicle falls behin
 end, and if the vehicle then has less than half the leader's speed, or a gap that is larger than the initial gap and \
 larger than 20 m plus 6 s times the leader's speed (docs/glossary.md).
 
-crumple simulates a scenario with unnecessary braking again, without the vehicles behind those under test. If it then \
-has neither a collision nor unnecessary braking, the braking blames no controller, and --expect useful accepts it. In \
-scenarios with lane changes all unnecessary braking counts.
+crumple simulates a scenario with unnecessary braking again, without the vehicles behind those under test. If this \
+second run has neither a collision nor unnecessary braking, a vehicle behind caused the braking, and --expect useful \
+accepts the scenario. In scenarios with lane changes all unnecessary braking counts.
 
 A scenario file may have 8 MiB of JSON or 3 MiB of TOML, 1000 vehicles, and 5 million vehicle-steps, whose trace takes \
 120 MB. A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); a \
@@ -62,8 +62,8 @@ pub(super) struct Simulate {
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<PathBuf>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
-    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
-    /// `exec:`
+    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), a controller file (F.toml), or a
+    /// command after `exec:`
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Estimator of the vehicles under test
@@ -82,7 +82,7 @@ pub(super) struct Simulate {
     /// Plant of all vehicles that a controller drives, instead of the scenario's; scripted vehicles keep their motion
     #[arg(long, value_name = "PLANT", value_parser = value_enums::one_of(value_enums::PLANTS))]
     plant: Option<PlantKind>,
-    /// Plot position, speed and spacing over time; replaces an existing file
+    /// Plot position, speed and gap over time; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png", value_parser = path_ending_in(["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row per sample and vehicle; replaces an existing file
@@ -120,8 +120,8 @@ pub(super) struct Simulate {
 enum RunExpectation {
     /// No collision, and no controller fails
     Safe,
-    /// Like `safe`; besides, no vehicle under test (there is at least one) falls behind or brakes unnecessarily, except
-    /// because of a vehicle behind
+    /// Like `safe`; in addition, there is a vehicle under test, none falls behind, and none brakes unnecessarily,
+    /// unless a vehicle behind causes the braking
     Useful,
     /// A collision
     Collision,

@@ -29,8 +29,8 @@ use crumple_store::study::StudyFolder;
 #[command(after_long_help = "\
 Presets:
   fast       solves the paper's task within about a minute per seed (default)
-  paper-net  the paper's networks and reward with corrections: reaches the paper's reward, but does not keep it
-  paper      the paper's exact settings: takes many hours, and does not reach the paper's reward
+  paper-net  the paper's networks and rewards, corrected: reaches the paper's return for a time
+  paper      the paper's exact settings: takes many hours, and does not reach the paper's return
   road       imitates the controller `predictive`
 
 The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, \
@@ -46,10 +46,11 @@ Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy on 
 every other command), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained in parallel; each gives the same \
 bytes for any number of threads, also after an interruption. `training.json` and `learning-curve.svg` describe all \
 finished seeds in the folder, which must have the same configuration; --resume with more --episodes continues a \
-finished training. Files are checked before work resumes (see crumple fsck). A training may take 4 GiB of memory for \
-each seed, as estimated from its networks, batches, replay memory and validation set. The exit code is 1 if a seed \
-diverges or has no checkpoint better than the untrained network. crumple names such seeds, writes no policy for a seed \
-that learned nothing, and finishes the others. docs/training.md describes the fields of a preset and the training.
+finished training. Files are checked before work resumes (see crumple fsck). crumple refuses a training that needs \
+more than 4 GiB of memory for a seed, as estimated from its networks, batches, replay memory and validation set. The \
+exit code is 1 if a seed diverges or has no checkpoint better than the untrained network. crumple names such seeds, \
+writes no policy for a seed that learned nothing, and finishes the others. docs/training.md describes the fields of a \
+preset and the training.
 
 Examples:
   crumple train --seed 7
@@ -62,11 +63,11 @@ pub(super) struct Train {
     #[arg(long, value_name = "PRESET", default_value = "fast")]
     preset: PathBuf,
     /// Draw episodes from this scenario space, built-in or a file, with a weight relative to others (1 by default); may
-    /// be repeated, each space once; replaces the preset's spaces, with a `cost_multiplier` of 1
+    /// be repeated, each space once. These spaces, each with a `cost_multiplier` of 1, replace those of the preset
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
     space: Vec<TrainingSpace>,
-    /// Folder of recorded drives (see `crumple import --whole`), in which a policy must also be useful; the preset
-    /// needs `usefulness_draws`
+    /// Folder of recorded drives (see `crumple import --whole`), in which collisions, unnecessary braking, falling
+    /// behind and jerk also lower the rank of a policy; the preset needs `usefulness_draws` (random scenarios)
     #[arg(long, value_name = "DIR")]
     drives: Option<String>,
     /// Train this seed [default: 0]

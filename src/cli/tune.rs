@@ -24,22 +24,23 @@ use crumple_sim::observation::EstimatorKind;
 The search simulates each candidate in the same random scenarios. It varies the settings in their typical ranges, and \
 starts at the defaults, or in the middle of a range that excludes them. It minimises one number. For --objective both, \
 this is the sum of:
-  - the weighted mean of the collision shares in the spaces
-  - the shares of drives in `traffic` with a collision, with hard unnecessary braking (above 4 m/s2 where less than 3 \
-m/s2 was justified), and in which the vehicle falls behind
-  - the share of drives in `everyday` with one of these faults or any unnecessary braking, counting only drives in \
-which `idm` has neither
-  - with --drives, the same share of the recorded drives, where a collision with a vehicle that repeats recorded \
-speeds behind is no fault
-  - 0.5 times the sum of these excesses: in `traffic`, those of rms acceleration and rms jerk above 1.2 times the \
-values of `idm` (relative), and that of the mean time gap outside 1.2 to 2.1 s (in seconds); in `everyday` and in \
-recorded drives, that of rms jerk
+  - the weighted mean of the collision shares in the spaces of --space
+  - in the built-in space `traffic`, the shares of drives with a collision, with hard unnecessary braking (above 4 \
+m/s2 where less than 3 m/s2 was justified), and in which the vehicle falls behind
+  - in the built-in space `everyday`, the share of drives with one of these faults or any unnecessary braking, \
+counting only drives in which `idm` has neither
+  - with --drives, the same share of the recorded drives. A collision with a vehicle behind that repeats its recorded \
+speeds does not count, because that vehicle does not react
+  - in `traffic`, half the relative excess of rms acceleration over 1.2 times that of `idm`, and the same of rms jerk
+  - in `traffic`, half the distance of the mean time gap from the range 1.2 to 2.1 s, in seconds
+  - in `everyday` and in the recorded drives, half the relative excess of rms jerk over 1.2 times that of `idm`
 For --objective safety, it is the first term.
 
 The five best candidates and the initial settings are then simulated in other random scenarios (the selection set), \
 which select the tuned settings. The report compares initial settings, tuned settings and `idm` in further scenarios \
-(the test set), with exact intervals. All three sets depend only on --seed and are disjoint from those of `assess` and \
-`falsify`.
+(the test set), with exact intervals. For the same --seed, every controller and method has the same random scenarios \
+in the search, in the selection set and in the test set. No scenario is in two of these, or in an `assess` or \
+`falsify`. Recorded drives are the same in all three.
 
 The folder contains every candidate (candidates.jsonl) and the report (report.md, report.json). --resume continues an \
 interrupted tuning, even after `kill -9`, and gives the same bytes with any number of threads.
@@ -85,8 +86,8 @@ pub(super) struct Tune {
     /// Seed of the search and of all scenarios
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: u64,
-    /// Folder of recorded drives (see `crumple import --whole`), in which every candidate must also be useful; with
-    /// `--objective safety`, only the report has them
+    /// Folder of recorded drives (see `crumple import --whole`) that also count in the minimised number (see below);
+    /// with `--objective safety`, only the report has them
     #[arg(long, value_name = "DIR")]
     drives: Option<PathBuf>,
     /// Estimator of the vehicles under test

@@ -23,9 +23,9 @@ use super::{CliError, args, output};
 #[command(after_long_help = "\
 The certificate states the class of followers that it covers, how hard the leader may brake (the level), the true \
 initial state of the first vehicle under test, and a plan of its commands. It says nothing about other followers. The \
-checker simulates the plan with bounds for all leaders that brake at the level or less, and for all followers of the \
-class. With --filter, the certificate covers the two-sided shield (`shield2:`) itself: the checker confirms the \
-conditions of a theorem.
+checker follows the plan to standstill. At each step it bounds the motions of all leaders that brake at the level or \
+less, and of all followers of the class. With --filter, the certificate covers the two-sided shield (`shield2:`) \
+itself: the checker confirms the conditions of a theorem.
 
 Exit code 1 if no plan is found. An actuator with lag is not covered.
 
@@ -37,7 +37,8 @@ pub(super) struct TwoSidedCommand {
     /// Built-in scenario (see `crumple list scenarios`), or scenario file
     #[arg(value_name = "SCENARIO")]
     scenario: PathBuf,
-    /// Settings of the level, the follower's class and errors of observation, as after `shield2`
+    /// Level, class of followers and errors of observation, as the settings of `shield2` (docs/controllers.md), such as
+    /// level=3,reacts=1
     #[arg(
         long,
         value_name = "SETTINGS",
@@ -46,7 +47,8 @@ pub(super) struct TwoSidedCommand {
     )]
     #[arg(value_parser = TwoSidedSettings::parse_for_certificate)]
     settings: TwoSidedSettings,
-    /// Certify the shield with the limits of the vehicle instead of a plan for the initial state
+    /// Certify the two-sided shield itself, for the limits of this vehicle; without this option, crumple certifies a
+    /// plan from the initial state
     #[arg(long)]
     filter: bool,
     /// File of the certificate; replaces an existing file

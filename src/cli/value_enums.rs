@@ -30,17 +30,20 @@ const AFTER_COLLISION: &[ArgValue<AfterCollision>] = &[
     (
         AfterCollision::Continue,
         "continue",
-        "Both vehicles continue together with common momentum, so that a pile-up can be counted",
+        "Both vehicles move on as one body, at the common speed that conserves momentum. Their \
+         controllers continue, and later collisions are counted",
     ),
     (
         AfterCollision::Hold,
         "hold",
-        "As continue, but a vehicle that has hit its leader brakes at 6 m/s² to standstill",
+        "As continue, but a vehicle that has hit its leader brakes at 6 m/s² to standstill, \
+         instead of obeying its controller",
     ),
     (
         AfterCollision::Coast,
         "coast",
-        "As continue, but a vehicle that has hit its leader neither brakes nor accelerates",
+        "As continue, but a vehicle that has hit its leader neither brakes nor accelerates, \
+         instead of obeying its controller",
     ),
 ];
 

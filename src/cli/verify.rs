@@ -24,6 +24,7 @@ use crumple_sim::engine::NamedController;
 use crumple_sim::observation::EstimatorKind;
 use crumple_spaces::ScenarioSpace;
 use crumple_store::output_folder::{EarlierFiles, OutputFolder};
+use crumple_store::study::Study;
 
 /// Make claims and write certificates that `crumple check` accepts
 #[derive(Args)]
@@ -80,9 +81,9 @@ the data, from --resamples of the episodes (docs/fitting.md).
 
 With --drives the domain is a folder of recorded drives. The controller drives each once; crumple prints collisions \
 and unnecessary braking per hour and per 100 km, with exact 95 % intervals for independent events, and those of the \
-recorded cars. A collision from behind with a vehicle that repeats recorded speeds counts separately, against no \
-controller. There is no certificate, because the drives are not drawn at random. A folder may have 10 000 files and 64 \
-MiB.
+recorded cars. A collision from behind with a vehicle that repeats recorded speeds counts separately, and not \
+against the controller. There is no certificate, because the drives are not drawn at random. A folder may have \
+10 000 files and 64 MiB.
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
@@ -229,7 +230,11 @@ impl RateCommand {
         let study = study::open(&plan, &self.out, self.resume, quiet)?;
         let path = study.path(CERTIFICATE_FILE);
         output::note(
-            &format!("registered as {}", plan.registration().digest()),
+            &format!(
+                "the settings of the count are in {}; registration_sha256: {}",
+                study.path(RatePlan::CONFIGURATION_FILE).display(),
+                plan.registration().digest()
+            ),
             quiet,
         );
         let bar = progress::run_bar("counting", runs, quiet);

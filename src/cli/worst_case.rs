@@ -30,16 +30,18 @@ last convex program.
 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
 milder ones. The output states if the budget was exceeded.
 
---attack sensors searches for the mildest sensor fault instead. For each kind of fault, crumple simulates sizes in \
-order, from 0.01 m or s (latency 0.002 s, range 199.9 m) to a limit. It stops when one size has caused a collision, \
-and one unnecessary braking (as for `crumple simulate`, whatever causes it). It then simulates nine sizes between each \
-of these two and the size before. A ghost appears at 8 times, 3 gaps and 2 speeds. A printed size causes the failure \
-when it is simulated; a smaller one between the simulated sizes may exist. The mildest fault has the smallest share of \
-its limit. There are at most 18 581 simulations. --out writes the scenario with the mildest fault that causes a \
-collision, or else unnecessary braking.
+--attack sensors searches for the mildest sensor fault instead, with at most 18 581 simulations and without --budget. \
+For each kind of fault, crumple simulates sizes from the mildest to a limit, which the output states: the sensor range \
+from 199.9 m downwards, other sizes from 0.01 m or 0.01 s (latency: 0.002 s) upwards. It stops earlier if it has found \
+both a size that causes a collision and a size that causes unnecessary braking. Braking that a vehicle behind causes \
+counts, too. It then simulates nine sizes between each of these two and the size before. The fault `ghost`, an object \
+that does not exist, is simulated at each of 8 instants, 3 gaps and 2 speeds. A printed size causes the failure when \
+it is simulated; a smaller one between the simulated sizes may exist. To compare kinds, crumple divides a size by the \
+limit of its kind (for the range: the loss of range by the largest loss). The fault with the smallest quotient is the \
+mildest. --out writes the scenario with the mildest fault that causes a collision, or else unnecessary braking.
 
-A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicle \
-steps, and all simulations together 20 000 million, which takes some minutes.
+The printed margin is the smallest gap in metres or, after a collision at v m/s, -v²/10. A scenario may have 500 000 \
+vehicle steps, and all simulations together 20 000 million, which takes some minutes.
 
 Examples:
   crumple worst-case paper-1 --controller baseline
@@ -51,8 +53,8 @@ pub(super) struct WorstCase {
     #[arg(value_name = "SCENARIO")]
     scenario: PathBuf,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
-    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
-    /// `exec:`
+    /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), an FMU (F.fmu), a controller file (F.toml), or a
+    /// command after `exec:`
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Estimator of the vehicles under test

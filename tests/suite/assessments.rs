@@ -780,7 +780,7 @@ fn check_gates(report: &Path, evidence: &serde_json::Value) {
     check_indicators(gates);
     let counted = gates[1]["reason"].as_str().expect("a reason");
     assert!(
-        counted.starts_with("of the same 40 counted runs"),
+        counted.contains(" of the same 40 counted runs, "),
         "{counted}"
     );
     let junit = fs::read_to_string(report.join("assessment.junit.xml")).expect("written");
@@ -1192,7 +1192,8 @@ fn counts_against_the_subject_refute_its_comparison() {
         let text = String::from_utf8(file.1.clone()).expect("UTF-8");
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
-    let facts = "of 200 counted runs, only it fails in 200, only the other in 0, confidence 99.9 %";
+    let facts = "in 200 of 200 counted runs, it fails and the other does not; in 0, the other fails and it does not; \
+                 confidence 99.9 %";
     for (form, begin) in [
         ("assessment.junit.xml", "<failure message=\"refuted: "),
         ("assessment.gsn.yaml", "\"Refuted: "),

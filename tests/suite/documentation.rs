@@ -167,7 +167,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "reports/driver.md",
-            "The follower drives `baseline` in `paper`",
+            "`baseline` drives the follower in `paper`",
         ),
         (
             "reports/driver.md",
@@ -179,7 +179,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "reports/plants-and-sensors.md",
-            "The follower drives `baseline`.",
+            "`baseline` drives the follower.",
         ),
     ] {
         assert!(read(page).contains(stated), "{page}: {stated}");

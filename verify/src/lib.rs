@@ -348,8 +348,8 @@ impl std::fmt::Display for ProvedClaim {
             // Shares are lower bounds: rounded down.
             Self::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => write!(
                 formatter,
-                "reach: nothing is proved about any part of the box; {:.2} % of its volume is in cells with an \
-                 initial state that ends in a collision",
+                "reach: nothing is proved about any part of the box; cells of the box that contain an initial state \
+                 with a collision make up {:.2} % of its volume",
                 (1e4 * falsified_share).floor() / 1e2
             ),
             Self::Reach {
@@ -362,8 +362,8 @@ impl std::fmt::Display for ProvedClaim {
                 ..
             } => write!(
                 formatter,
-                "reach: in {:.2} % of the box's volume no gap is ever smaller than {} m for {horizon_s} s, {}{}; {:.2} \
-                 % of it is in cells with an initial state that ends in a collision",
+                "reach: in {:.2} % of the box's volume no gap is ever smaller than {} m for {horizon_s} s, {}{}; cells \
+                 of the box that contain an initial state with a collision make up {:.2} % of its volume",
                 (1e4 * verified_share).floor() / 1e2,
                 round_down(*smallest_gap_m),
                 limit.map_or_else(String::new, |limit| format!("however the leader brakes at up to {limit} m/s², ")),

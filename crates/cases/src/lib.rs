@@ -1,6 +1,6 @@
 //! Number of cases of every property test in the workspace, and generators that unit tests of several crates share.
 //!
-//! `PROPERTY_CASES` scales all tests together; the default is 64, and `.ci/nightly` sets 2560. It is not proptest's own
+//! `PROPERTY_CASES` scales all tests together; the default is 64, and `.ci/nightly` sets 640. It is not proptest's own
 //! variable, `PROPTEST_CASES`, which replaces the number of each test, so that a test that needs minutes for 64 cases
 //! runs 64, and one that needs a second for 1500, too.
 

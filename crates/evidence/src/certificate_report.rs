@@ -14,8 +14,8 @@ use crumple_spaces::{built_in_space, file as space_file};
 use crumple_verify::{Certificate, ClaimSubject, ProvedClaim, Scope, WorkLimit, check, check_with};
 pub(crate) use json::{RerunReport, describe_assumptions};
 pub use json::{UncheckedCertificate, report_json, unchecked_json};
-pub(crate) use text::built_in_line;
 pub use text::report_text;
+pub(crate) use text::scope_lines;
 
 /// Report of the checker on a certificate.
 #[derive(Debug)]

@@ -100,8 +100,8 @@ impl DriveComfort {
     /// Summarises the drives of a controller.
     fn from_runs(runs: &[DriveRun]) -> Self {
         Self::new(runs.iter().map(|run| {
-            let [blamed, _] = run.unnecessary_by_cause();
-            (&run.drive, blamed)
+            let [counted, _] = run.unnecessary_by_cause();
+            (&run.drive, counted)
         }))
     }
 
@@ -155,7 +155,7 @@ pub struct DriveReport {
     /// Comfort, distance and unnecessary braking.
     #[serde(flatten)]
     pub comfort: DriveComfort,
-    /// Collisions and missing answers for which the controller is to blame.
+    /// Collisions and missing answers that count against the controller.
     pub failures: EventRate,
     /// Collisions with the leader.
     pub hits_leader: u64,
@@ -166,16 +166,17 @@ pub struct DriveReport {
     /// Number of these drives, and the reason of the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unanswered: Option<FailedControllerRuns>,
-    /// Collisions from behind with a vehicle that repeats recorded speeds: they blame no controller.
+    /// Collisions from behind with a vehicle that repeats recorded speeds. They do not count against the controller.
     pub hit_by_recording: u64,
     /// Collisions of other vehicles: no evidence about the controller.
     pub others_collide: u64,
-    /// Unnecessary braking that the same drive does not have without the vehicle behind: it blames no controller.
+    /// Unnecessary braking that the same drive does not have without the vehicle behind. It does not count against the
+    /// controller.
     pub caused_by_vehicle_behind: EventRate,
     /// Number of drives with such braking.
     pub caused_by_vehicle_behind_drives: u64,
-    /// Drives that a collision ended before any unnecessary braking that blames the controller: they decide nothing
-    /// about the rest of the drive.
+    /// Drives that a collision ended before any unnecessary braking that counts against the controller. They decide
+    /// nothing about the rest of the drive.
     pub ended_before_unnecessary_braking: u64,
     /// Drives without a vehicle behind, in which no collision from behind can happen.
     pub without_vehicle_behind: u64,
@@ -318,7 +319,7 @@ impl DriveReport {
             (
                 self.hit_by_recording,
                 "collision",
-                "from behind with recorded speeds, which cannot react: blames no controller",
+                "from behind with a vehicle that repeats recorded speeds: not counted against the controller",
             ),
             (
                 self.others_collide,
@@ -350,7 +351,7 @@ impl DriveReport {
             let plural = plural(drives);
             format!(
                 "{drives} drive{plural} with unnecessary braking that the same drive does not have without the vehicle \
-                 behind: blames no controller"
+                 behind: not counted against the controller"
             )
         };
         (drives > 0).then(note)

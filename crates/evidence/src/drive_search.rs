@@ -75,11 +75,12 @@ pub struct DriveSearch {
     pub specification: String,
     /// Number of failures, with their rate on the drives that the specification applies to.
     pub violations: EventRate,
-    /// Drives that violate it, but not without the vehicle behind: they blame no controller, and are no failures.
+    /// Drives that violate it, but not without the vehicle behind. They do not count against the controller, and are no
+    /// failures.
     pub violated_only_with_vehicle_behind: u64,
     /// Drives without a vehicle that the specification is about: it does not apply to them.
     pub not_applicable: u64,
-    /// Drives that violate it and blame the controller, the severest first.
+    /// Drives that violate it and count against the controller, the severest first.
     pub failures: Vec<DriveFailure>,
     /// Counts of all drives.
     pub counts: DriveReport,
@@ -110,10 +111,10 @@ impl DriveSearch {
     }
 
     /// Lets a controller drive each drive once, and those that fail again without the vehicle behind. Without
-    /// collisions that blame it, a drive satisfies [`Specification::NoCollision`]. A formula about other vehicles than
-    /// the one behind blames the controller only if the drive also violates it without that vehicle, or ends with a
-    /// collision or a missing answer that blames it. `name` is the name of the controller, and `text` that of the
-    /// specification.
+    /// collisions that count against it, a drive satisfies [`Specification::NoCollision`]. The violation of a formula
+    /// about other vehicles than the one behind counts against it only if the drive also violates the formula without
+    /// that vehicle, or ends with a collision or a missing answer that counts against it. `name` is the name of the
+    /// controller, and `text` that of the specification.
     ///
     /// # Errors
     /// [`DriveSearchError`] if a drive cannot be simulated, or a formula does not fit it.
@@ -161,7 +162,7 @@ impl DriveSearch {
         let notes = [
             (
                 self.violated_only_with_vehicle_behind,
-                "violated only with the vehicle behind: blames no controller",
+                "violated only with the vehicle behind: not counted against the controller",
             ),
             (
                 self.not_applicable,
@@ -204,7 +205,7 @@ enum DriveVerdict {
     NotApplicable,
     /// The drive violates the specification only with the vehicle behind.
     CausedBehind,
-    /// The drive violates the specification, and blames the controller.
+    /// The drive violates the specification, and counts against the controller.
     Failed {
         robustness: f64,
     },
@@ -241,7 +242,7 @@ impl<'s> EvaluatedRun<'s> {
         matches!(self.robustness, Some(Ok(robustness)) if robustness < 0.0)
     }
 
-    /// Returns true if the end of the drive blames the controller. Driving rules hold until the first collision.
+    /// Returns true if the end of the drive counts against the controller. Rules hold until the first collision.
     fn ends_in_failure(&self) -> bool {
         match self.specification {
             Specification::NoCollision | Specification::Formula(_) => self.run.end.is_failure(),
@@ -260,7 +261,7 @@ impl<'s> EvaluatedRun<'s> {
 impl RunPair<EvaluatedRun<'_>> {
     /// Decides about the drive, by the drive without the vehicle behind where that is known.
     fn decide(self) -> Result<(DriveRun, DriveVerdict), DriveSearchError> {
-        let blames = self.blames_controller();
+        let counts = self.counts_against_controller();
         let alone = self.alone.map(|alone| alone.run);
         let specification = self.run.specification;
         let run = RunPair {
@@ -277,7 +278,7 @@ impl RunPair<EvaluatedRun<'_>> {
         })?;
         let verdict = match (robustness < 0.0, specification) {
             (false, _) => DriveVerdict::Satisfied,
-            (true, _) if blames => DriveVerdict::Failed { robustness },
+            (true, _) if counts => DriveVerdict::Failed { robustness },
             // A collision of other vehicles, or with one that cannot react.
             (true, Specification::NoCollision) => DriveVerdict::Satisfied,
             (true, _) => DriveVerdict::CausedBehind,
@@ -285,8 +286,8 @@ impl RunPair<EvaluatedRun<'_>> {
         Ok((run, verdict))
     }
 
-    /// Returns true if a violation blames the controller.
-    fn blames_controller(&self) -> bool {
+    /// Returns true if a violation counts against the controller.
+    fn counts_against_controller(&self) -> bool {
         let is_about_motion = *self.run.specification != Specification::NoCollision;
         // Without the vehicle that it is about, a specification says nothing.
         let fails = |evaluated: &EvaluatedRun<'_>| {

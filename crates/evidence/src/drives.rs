@@ -198,7 +198,7 @@ pub(super) struct RunPair<R> {
 
 impl<R> RunPair<R> {
     /// Returns true if the drive fails only because of the vehicle behind: without it, the same drive is complete and
-    /// does not fail. Such a failure blames no controller.
+    /// does not fail. Such a failure does not count against the controller.
     pub(super) fn is_caused_behind(
         &self,
         drive: impl Fn(&R) -> &DriveRun,
@@ -292,7 +292,8 @@ pub enum DriveEnd {
 }
 
 impl DriveEnd {
-    /// True if the controller is to blame: it hits the leader, is hit by a vehicle that can react, or gives no answer.
+    /// True if the end counts against the controller: it hits the leader, is hit by a vehicle that can react, or gives
+    /// no answer.
     #[must_use]
     pub fn is_failure(&self) -> bool {
         match self {
@@ -333,8 +334,8 @@ impl DriveRun {
         !self.drive.measures.unnecessary.is_empty()
     }
 
-    /// Returns the number of unnecessary brakings that blame the controller, and of those that only the vehicle behind
-    /// causes.
+    /// Returns the number of unnecessary brakings that count against the controller, and of those that only the vehicle
+    /// behind causes.
     #[must_use]
     pub fn unnecessary_by_cause(&self) -> [usize; 2] {
         let count = self.drive.measures.unnecessary.count;

@@ -77,7 +77,7 @@ fn drives() -> Vec<Scenario> {
 }
 
 #[test]
-fn collisions_count_by_blame() {
+fn collisions_count_by_their_cause() {
     let folder = tempfile::tempdir().unwrap();
     let drives = load(folder.path(), &drives()).unwrap();
     let runs = drives.run(&options("idm"), &Quiet).unwrap();
@@ -133,7 +133,7 @@ fn collisions_count_by_blame() {
     let text = report.to_text();
     for part in [
         "4 recorded drives, each once",
-        "1 collision from behind with recorded speeds",
+        "1 collision from behind with a vehicle that repeats recorded speeds",
         "1 drive without a vehicle behind",
         "recorded cars",
     ] {
@@ -180,7 +180,7 @@ fn failed_drives(search: &DriveSearch) -> Vec<&str> {
 }
 
 #[test]
-fn a_search_lists_the_failures_that_blame_the_controller() {
+fn a_search_lists_the_failures_that_count_against_the_controller() {
     let folder = tempfile::tempdir().unwrap();
     let drives = load(folder.path(), &drives()).unwrap();
     let collisions = search(&drives, "idm", Specification::NO_COLLISION);
@@ -212,10 +212,10 @@ fn hard_drives() -> [Scenario; 2] {
 
 /// `predictive` brakes harder than its leader for the human, and `r157-simple` also without one.
 #[test]
-fn braking_that_only_the_vehicle_behind_causes_blames_no_controller() {
+fn braking_that_only_the_vehicle_behind_causes_does_not_count_against_the_controller() {
     let folder = tempfile::tempdir().unwrap();
     let drives = load(folder.path(), &hard_drives()).unwrap();
-    for (controller, blamed, caused_behind) in [("predictive", 0, 1), ("r157-simple", 2, 0)] {
+    for (controller, counted, caused_behind) in [("predictive", 0, 1), ("r157-simple", 2, 0)] {
         let runs = drives.run(&options(controller), &Quiet).unwrap();
         let report = DriveReport::new(controller, &runs, &drives);
         let counts = [
@@ -224,8 +224,8 @@ fn braking_that_only_the_vehicle_behind_causes_blames_no_controller() {
             report.caused_by_vehicle_behind.count,
             report.caused_by_vehicle_behind_drives,
         ];
-        assert_eq!(counts, [blamed, blamed, caused_behind, caused_behind]);
-        let note = "does not have without the vehicle behind: blames no controller";
+        assert_eq!(counts, [counted, counted, caused_behind, caused_behind]);
+        let note = "does not have without the vehicle behind: not counted against the controller";
         assert_eq!(report.to_text().contains(note), caused_behind > 0);
         // A search counts alike, by the rule and by a formula.
         for text in ["no braking without cause", "always v1.accel_mps2 > -5.5"] {
@@ -235,7 +235,7 @@ fn braking_that_only_the_vehicle_behind_causes_blames_no_controller() {
                 search.violations.count,
                 search.violated_only_with_vehicle_behind,
             ];
-            assert_eq!(violations, [blamed, caused_behind], "{controller} {text}");
+            assert_eq!(violations, [counted, caused_behind], "{controller} {text}");
         }
     }
 }

@@ -100,7 +100,7 @@ impl ReplayReport {
             self.kilometres
         );
         text += &format!(
-            "{} would have braked {}, by at least {} m/s²\n",
+            "{} would have braked {}, by at least {} m/s² (--min-brake)\n",
             TerminalText(&self.controller),
             times(self.brakings.len() as u64),
             self.min_brake_mps2
@@ -117,8 +117,8 @@ impl ReplayReport {
         let mut text = String::new();
         if !hardest.is_empty() {
             text += &format!(
-                "  {:>12} {:>12} {:>6} {:>6} {:>7} {:>7}  vehicle\n",
-                "braking m/s²", "driver m/s²", "for s", "at m/s", "gap m", "from s"
+                "  {:>12} {:>14} {:>10} {:>9} {:>7} {:>7}  vehicle\n",
+                "braking m/s²", "of driver m/s²", "duration s", "speed m/s", "gap m", "start s"
             );
         }
         text.extend(hardest.iter().take(MAX_LISTED).map(|braking| braking.row()));
@@ -160,7 +160,7 @@ impl BrakingReport {
         };
         let origin = format!("{}{event} of {}", self.vehicle, self.recording);
         format!(
-            "  {:>12.2} {:>12.2} {:>6.2} {:>6.2} {:>7.2} {:>7.2}  {}\n",
+            "  {:>12.2} {:>14.2} {:>10.2} {:>9.2} {:>7.2} {:>7.2}  {}\n",
             self.brake_mps2,
             self.driver_brake_mps2,
             self.duration_s,
@@ -191,7 +191,7 @@ impl UnnecessaryReport {
             None => "not defined".to_owned(),
         };
         format!(
-            "unnecessary braking of the {who}, at any --min-brake: {}, {:.2} s in all\n  \
+            "unnecessary braking of the {who} (independent of --min-brake): {}, {:.2} s in all\n  \
              per hour {per_hour}, per 100 km {per_100_km}, at 95 %\n",
             times(self.count),
             self.seconds

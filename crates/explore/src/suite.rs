@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, TryLockError};
 
 use crumple_core::quoting::TerminalText;
 use crumple_report::suite::{
-    describe_impact_limit, describe_outcome, describe_parameters, describe_verdict,
+    describe_ghost, describe_impact_limit, describe_outcome, describe_parameters, describe_verdict,
     describe_warning, describe_worst_in_tolerance, format_points, min_margins,
 };
 use crumple_sim::control::TestDriverSettings;
@@ -237,7 +237,11 @@ impl SuiteView<'_> {
                 }
                 @for (index, failed) in failures.into_iter().enumerate() {
                     @let query = format!("&failure={index}");
-                    li { (self.link(test, tested, &query, html! { "fails at " (failed.point) })) }
+                    @let label = match index < tested.failed_points.len() {
+                        true => "fails at ",
+                        false => "worst point within the tolerances: ",
+                    };
+                    li { (self.link(test, tested, &query, html! { (label) (failed.point) })) }
                 }
             } }
         }
@@ -279,7 +283,8 @@ impl SuiteView<'_> {
 fn describe_test(test: &TestSpec) -> Markup {
     html! {
         (test.name)
-        span.note { (describe_parameters(&test.parameters)) }
+        span.note { (describe_parameters(&test.parameters, &test.ranges)) }
+        @if let Some(ghost) = describe_ghost(&test.parameters) { span.note { (ghost) } }
         @if let Some(limit) = &test.impact_at_most { span.note { (describe_impact_limit(limit)) } }
     }
 }

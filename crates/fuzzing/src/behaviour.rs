@@ -42,7 +42,7 @@ pub(crate) fn extract_features(test_case: &TestCase, result: &SimulationResult) 
         let collision = result
             .outcome
             .collision()
-            .filter(|collision| blamed_role(collision, &test_case.scenario) == role);
+            .filter(|collision| merged_role(collision, &test_case.scenario) == role);
         features.push(
             VEHICLE_BINS,
             collision.map(|collision| collision.rear_vehicle),
@@ -165,7 +165,7 @@ fn full_braking_onsets(track: &Track, limit_mps2: f64) -> usize {
 }
 
 /// Returns the role, with all collisions from behind as one.
-fn blamed_role(collision: &Collision, scenario: &Scenario) -> CollisionRole {
+fn merged_role(collision: &Collision, scenario: &Scenario) -> CollisionRole {
     match CollisionRole::new(collision, scenario) {
         CollisionRole::HitByRecording => CollisionRole::HitFromBehind,
         role => role,

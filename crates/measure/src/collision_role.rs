@@ -11,7 +11,7 @@ pub enum CollisionRole {
     /// A vehicle under test is hit from behind by a vehicle that is not under test.
     HitFromBehind,
     /// A vehicle under test is hit from behind by a vehicle that repeats recorded speeds. That vehicle cannot react, so
-    /// no controller is to blame.
+    /// the collision does not count against the controller.
     HitByRecording,
     /// Neither vehicle is under test.
     Bystander,

@@ -67,8 +67,8 @@ impl RunFindings {
     }
 }
 
-const HIT_BY_RECORDING: &str =
-    "collision from behind with a vehicle that repeats recorded speeds: blames no controller";
+const HIT_BY_RECORDING: &str = "collision from behind with a vehicle that repeats recorded speeds: \
+    does not count against the controller";
 const NO_VEHICLE_BEHIND: &str = "no vehicle behind: collisions from behind cannot happen";
 
 /// Share of scenarios with a collision under a plant that replaces that of the scenarios.
@@ -178,7 +178,7 @@ impl RunTotal {
         let braking = match self.brakes_only_with_vehicle_behind {
             0 => "unnecessary braking".to_owned(),
             behind => format!(
-                "unnecessary braking, {behind} of them only with the vehicle behind: blames no controller"
+                "unnecessary braking, {behind} of them only with the vehicle behind: not counted against the controller"
             ),
         };
         [

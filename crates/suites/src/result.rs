@@ -11,7 +11,7 @@ use crumple_sim::scenario::Scenario;
 use serde::{Deserialize, Serialize};
 
 use super::margin::Margin;
-use super::parameter::{ImpactLimit, TestParameters};
+use super::parameter::{ImpactLimit, ParameterKind, TestParameters};
 use super::prevention::ReferenceRun;
 use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
@@ -69,6 +69,9 @@ pub struct TestResult {
     pub holds_speed: bool,
     /// Parameters, each with its origin.
     pub parameters: TestParameters,
+    /// Parameters for which the document allows every value from the smallest to the largest.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub ranges: Vec<ParameterKind>,
     /// Largest impact speed that passes; `None` if no collision passes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub impact_at_most: Option<ImpactLimit>,
@@ -320,6 +323,15 @@ impl TestVerdict {
         }
     }
 
+    /// Returns the impact speed in m/s of a collision, or the deceleration in m/s² of braking without a vehicle in the
+    /// way; 0 for other verdicts.
+    fn severity(&self) -> f64 {
+        match self {
+            Self::Braked { max_brake_mps2, .. } => *max_brake_mps2,
+            _ => self.impact_speed_mps(),
+        }
+    }
+
     /// Returns the worst verdict, the first of equals; `None` without verdicts.
     pub(super) fn worst<'v>(all: impl Iterator<Item = &'v Self>) -> Option<&'v Self> {
         all.reduce(|worst, next| {
@@ -334,7 +346,7 @@ impl TestVerdict {
     pub(super) fn is_worse_than(&self, other: &Self) -> bool {
         self.severity_class()
             .cmp(&other.severity_class())
-            .then(self.impact_speed_mps().total_cmp(&other.impact_speed_mps()))
+            .then(self.severity().total_cmp(&other.severity()))
             .is_gt()
     }
 }

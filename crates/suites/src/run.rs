@@ -158,6 +158,7 @@ fn assemble(
             is_as_stated: test.is_as_stated(),
             holds_speed: test.holds_speed,
             parameters: test.parameters.clone(),
+            ranges: test.ranges.clone(),
             impact_at_most: test.impact_at_most.clone(),
             controllers: results.by_ref().take(controllers).collect(),
         });

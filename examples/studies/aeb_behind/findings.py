@@ -217,11 +217,9 @@ def cover(combinations_of_all, wanted):
 
 def in_words(conjunctions, start):
     """Returns conjunctions as a phrase."""
-    parts = []
-    for conjunction in conjunctions:
-        *first, last = [f"*{WORDS[value]}*" for value in conjunction if value is not None]
-        parts.append(f"{', '.join(first)} and {last}" if first else last)
-    return f"{start} " + ", or with ".join(parts)
+    parts = [" & ".join(f"*{WORDS[value]}*" for value in conjunction if value is not None)
+             for conjunction in conjunctions]
+    return f"{start} " + ", or ".join(parts)
 
 
 def condition(sides, wanted):
@@ -273,7 +271,7 @@ def answer_of_change(question, by_system):
     span, ends = spans([bounds for found in by_system.values() for bounds in intervals_of(found)])
     count = sum(verdict(found, RULE["limit"][question["measure"]]).startswith(NO_ANSWER)
                 for found in by_system.values())
-    return (f"{NO_ANSWER} for {count} of {len(by_system)} models of these cars, extrapolated here "
+    return (f"{NO_ANSWER} for {count} of {len(by_system)} models, extrapolated here "
             f"({len(systems[most])} cars: {most}{others}): {span} ({ends}).")
 
 
@@ -308,9 +306,10 @@ def answer_of_left(question, found, runs, fails_s9):
     upper = 100 * upper_bound(count, emergencies, RULE["error_probability"] / comparisons())
     if upper >= question["limit"] or not fails_s9:
         sys.exit("error: the sentence about collisions within the tests holds no longer")
-    return (f"{word}, in these emergencies: {span} ({ends}) still end in a collision; the limit is "
+    return (f"{word}, in these emergencies: {span} ({ends}) end in a collision; limit "
             f"{question['limit']:g}. **Yes, at 36 to 80 km/h and at most 4.9 m/s²**, on dry roads without lorries: "
-            f"{100 * count / emergencies:.1f} (at most {upper:.1f}). The brake fails S9 of the suite.")
+            f"{100 * count / emergencies:.1f} (at most {upper:.1f}). The brake fails the tests of unnecessary "
+            "braking ([S9](#if-all-cars-conform)).")
 
 
 def answer_of_field(question, runs, found, thresholds):
@@ -320,7 +319,8 @@ def answer_of_field(question, runs, found, thresholds):
         return "No answer: in some combinations no threshold up to 3 s halves the collisions ahead."
     parts = conditional(common_sides(found, reference), {-1: "lower", 1: "higher"})
     span, ends = spans(intervals, digits=0)
-    return (f"{NO_ANSWER} ({parts}): {span} % ({ends} %), at {extent(thresholds, False)} s.")
+    return (f"{NO_ANSWER} ({parts}): {span} % ({ends} %), for brakes from {extent(thresholds, False)} s "
+            "([field](#compared-with-the-field)).")
 
 
 def answer(question, runs, fails_s9):

@@ -243,11 +243,11 @@ def answers_csv(results):
 INTRODUCTION = """\
 In simulated emergencies, a car brakes to a stop, the car under test follows it, and another vehicle follows that car.
 **Speeds, braking and followers are chosen: no value is one of real traffic.**
-[Questions](../examples/studies/aeb_behind/questions.toml), rule, statistics and a new seed were committed before the
-second of two runs, [but after the first](#changes-after-the-first-run).
+[Questions](../examples/studies/aeb_behind/questions.toml), rule for answers, statistics and a new seed were
+committed before the second of two runs, [but after the first](#changes-after-the-first-run).
 
-Answers hold in both runs, whether cars observe through *sensors* and a filter or the *true state* (nearly the same
-results). A common answer holds in all COMBINATIONS combinations of three assumptions:
+Answers hold in both runs, with *sensors* and filter and with the *true state*. A common answer holds in all
+COMBINATIONS combinations of three assumptions:
 
 - After an impact, vehicles *hold* their brakes or *coast*.
 
@@ -257,10 +257,10 @@ results). A common answer holds in all COMBINATIONS combinations of three assump
 - *No lorries* or *half lorries* are among them.
 
 Other answers name combinations whose intervals lie on one side of 0 (question 12: of +20 %). Elsewhere a change is not
-excluded. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of both runs; brackets have the
-outermost ends of their intervals, corrected for COMPARISONS comparisons, each of EMERGENCIES emergencies. Combinations
-share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may change answers.
-[Systems](#systems) defines the brakes."""
+excluded. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of all combinations, runs and
+observations; brackets span all intervals, corrected for COMPARISONS comparisons of EMERGENCIES emergencies each.
+Combinations share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may change answers.
+[Systems](#systems) defines the brakes. *It* is the car under test, *people* are drivers."""
 
 
 def sizes(runs):

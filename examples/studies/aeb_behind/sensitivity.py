@@ -16,7 +16,7 @@ def gaps(vehicle, column):
 
 # Assumption: settings of the driver behind, estimator, and the replacements in the text of the space.
 CHANGES = {
-    "base case": ("", "kalman", []),
+    "base case (leader's mean braking 50 % of its limit)": ("", "kalman", []),
     "brake observes the true state": ("", "truth", []),
     "reaction 1.0 s": ("reaction_s=1.0,surprise_s=1.0", "kalman", []),
     "reaction 2.0 s": ("reaction_s=2.0,surprise_s=2.0", "kalman", []),

@@ -17,8 +17,8 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
          `car:...` are the emergency brakes of cars, which hold their speed until they brake; they are valid only in \
          the tests with which they were compared. `cruise:...` are cruise controls, fitted to recordings without \
          emergencies: their results in emergencies say nothing about the cars. `shield2:...` is made for the true \
-         state: with the errors of the filter, few states have a plan at the leader's limit, and others are \
-         not protected.",
+         state. With the errors of the filter, it finds a plan against full braking of the leader in few states. In \
+         the other states, it protects only against milder braking of the leader, or not at all.",
     );
     page.paragraph(
         "The command, with the FOLDER that `examples/studies/openacc/fetch.py` fills: `cargo run --release -p \
@@ -53,11 +53,12 @@ pub(super) fn render(rows: &[ControllerRow], config: &RowConfig) -> String {
 /// Explains the columns of the first table.
 fn column_notes(config: &RowConfig) -> [String; 5] {
     [
-        DISCLAIMER.to_owned(),
+        DISCLAIMER.replacen("Modelled", "Each suite is modelled", 1),
         "Suites: passed tests of those that can be run, and refused tests (those outside one lane and, with a shield, \
-         those without a guarantee). Brackets have the mean margin over the tests that can be run. A passed test has \
-         directions in which it becomes harder; its margin is the smallest share of such a range that still passes. \
-         The margin of a failed test is 0."
+         those without a guarantee). Brackets have the mean margin over the tests that can be run. To find the margin \
+         of a passed test, crumple makes the test harder in one parameter at a time, over a range. The share of the \
+         range up to which the test passes is the margin; of several parameters, the smallest share counts. The \
+         margin of a failed test is 0."
             .to_owned(),
         "Largest gain: that of a line of vehicles with the true state, for oscillations of 0.3 m/s at 0.05 to 2 rad/s \
          around 4 to 30 m/s. Above 1, oscillations grow from vehicle to vehicle. None: no line settles."
@@ -78,9 +79,10 @@ fn describe_drives(drives: &ImportedDrives) -> String {
     let recorded = DriveComfort::of_recorded_cars(&drives.set);
     format!(
         "Unnecessary braking: number per hour in {} drives of {} recordings of OpenACC ({:.1} hours), and its 95 % \
-         interval, which is exact for independent events. Square brackets: further braking, in drives that have none \
-         without their simulated vehicle behind; it blames no controller. The recorded cars: {}. Collisions: drives in \
-         which the vehicle hits its leader or the controller gives no answer / drives in which the follower hits the \
+         interval, which is exact for independent events. Square brackets: unnecessary braking per hour that the \
+         first number leaves out, because the same drive without the simulated follower has none. So the follower \
+         causes it, and it does not count against the controller. The recorded cars: {}. Collisions: drives in which \
+         the vehicle hits its leader or the controller gives no answer / drives in which the follower hits the \
          vehicle. This follower, `human`, starts at the gap of the recorded car; the collision may be due to it, and \
          not to the controller.",
         drives.set.drives().len(),

@@ -87,7 +87,7 @@ pub(super) struct DriveScore {
     pub(super) hits: u64,
     /// Drives that the simulated human behind hits.
     pub(super) hit_from_behind: u64,
-    /// Unnecessary braking per hour that blames the controller, and the ends of its interval.
+    /// Unnecessary braking per hour that counts against the controller, and the ends of its interval.
     pub(super) unnecessary_per_hour: [f64; 3],
     /// Unnecessary braking per hour that only the vehicle behind causes.
     pub(super) caused_behind_per_hour: f64,

@@ -265,7 +265,10 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
     reach.provenance.scenario_sha256 = String::new();
     write_certificate(folder.path(), "old.json", &reach);
     for (name, about) in [
-        ("bound.json", "it is NOT the built-in scenario or space"),
+        (
+            "bound.json",
+            "this scenario is NOT the built-in one of that name",
+        ),
         (
             "old.json",
             "version 1 does not bind the statement to a text",
@@ -368,7 +371,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
         " m for 15 s; and a collision remains avoidable afterwards, ",
         "for 15 s from the start\n",
         "behind: front bumper",
-        "it is the built-in scenario or space of that name",
+        "this scenario is the built-in one of that name",
     ];
     assert_contains(stdout(&message), &passages);
     let [one, two] =
@@ -417,7 +420,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     run_ok(folder.path(), "avoid mine.toml --certificate mine.json");
     let message = run_crumple(folder.path(), "check mine.json");
     assert!(
-        stdout(&message).contains("it is NOT the built-in scenario or space of that name"),
+        stdout(&message).contains("this scenario is NOT the built-in one of that name"),
         "{}",
         stdout(&message)
     );
@@ -904,7 +907,7 @@ fn check_pools_counts_of_several_seeds() {
             "in 600 runs",
             "confirmed: all 600 runs were drawn and simulated again",
             "600 random scenarios, seed 3 to 5",
-            "it is the built-in scenario or space of that name",
+            "this space is the built-in one of that name",
             "assuming that the range of seeds was fixed before the first run",
         ],
     );

@@ -376,7 +376,7 @@ fn braking_that_only_the_vehicle_behind_causes_is_useful() {
             &format!("{arguments} --controller {controller} {more}"),
         )
     };
-    let cause = "; only with the vehicle behind: blames no controller\n";
+    let cause = "; only with the vehicle behind: does not count against the controller\n";
     for (controller, code) in [("predictive", 0), ("acc-aeb,ttc_s=8", 1)] {
         let output = simulate(controller, "");
         assert_prints(&output, code, &["vehicle 1 brakes unnecessarily for "]);
@@ -385,7 +385,8 @@ fn braking_that_only_the_vehicle_behind_causes_is_useful() {
         let is_caused = report.get("brakes_only_with_vehicle_behind");
         assert_eq!(is_caused, (code == 0).then_some(&json!(true)));
     }
-    let total = "  2 of 2  unnecessary braking, 2 of them only with the vehicle behind: blames no controller\n";
+    let total = "  2 of 2  unnecessary braking, 2 of them only with the vehicle behind: not counted against \
+        the controller\n";
     assert_prints(&simulate("predictive", "hard.toml"), 0, &[total]);
 }
 
@@ -645,7 +646,7 @@ fn list_names_all_inputs_of_simulate() {
         .collect();
     assert!(long.is_empty(), "wrapped in a pipe: {long:?}");
     // A value that switches its setting off is marked.
-    for off in ["set_speed_mps=100 (none)\n", "aeb_ttc_s=0 (none),"] {
+    for off in ["set_speed_mps=100 (off)\n", "aeb_ttc_s=0 (off),"] {
         assert!(stdout(&all).contains(off), "{off:?}");
     }
     let listed = &json_objects(&run_crumple(folder.path(), "list --all --format json"))[0];

@@ -357,7 +357,7 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     let whole = count("--out whole");
     assert_eq!(exit_code(&whole), 0, "{}", stderr(&whole));
     assert!(
-        stderr(&whole).starts_with("registered as ")
+        stderr(&whole).starts_with("the settings of the count are in whole/registration.json; ")
             && stdout(&whole).starts_with("0 failures in 2500 runs")
     );
     let file = |path: &str| fs::read_to_string(folder.path().join(path)).unwrap();

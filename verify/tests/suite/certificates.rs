@@ -374,19 +374,20 @@ fn proved_claims_are_printed_as_sentences() {
         }
         .to_string()
     };
-    let nothing = "reach: nothing is proved about any part of the box; 0.19 % of its volume is in cells with an \
-        initial state that ends in a collision";
+    let nothing = "reach: nothing is proved about any part of the box; cells of the box that contain an initial \
+        state with a collision make up 0.19 % of its volume";
     assert_eq!(reach(0.0, true, None), nothing);
     assert_eq!(
         reach(0.999_99, true, None),
-        "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; 0.19 \
-         % of it is in cells with an initial state that ends in a collision"
+        "reach: in 99.99 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, with a vehicle behind; \
+         cells of the box that contain an initial state with a collision make up 0.19 % of its volume"
     );
     assert_eq!(
         reach(1e-9, false, Some(7.5)),
         "reach: in 0.00 % of the box's volume no gap is ever smaller than 0.5 m for 4 s, however the leader brakes at \
          up to 7.5 m/s², \
-         with no vehicle behind; 0.19 % of it is in cells with an initial state that ends in a collision"
+         with no vehicle behind; cells of the box that contain an initial state with a collision make up 0.19 % of \
+         its volume"
     );
     let avoidable = |afterwards| {
         ProvedClaim::Avoidable {

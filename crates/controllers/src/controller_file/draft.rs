@@ -61,8 +61,9 @@ impl ControllerFileDraft<'_> {
     fn head(&self) -> String {
         // A JSON string is also a valid TOML string.
         let path = serde_json::Value::from(self.path);
-        let head =
-            format!("version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # as in training\n");
+        let head = format!(
+            "version = 1\nnetwork = {path}\ndecision_interval_s = 0.1 # a guess: use that of the training\n"
+        );
         if self.fitting_normalisation().is_some() {
             return head + "normalised = true # the inputs contain the statistics\n";
         }

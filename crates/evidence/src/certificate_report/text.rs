@@ -1,7 +1,7 @@
 //! Reports on certificates as text.
 
 use crumple_core::quoting::TerminalText;
-use crumple_verify::Statement;
+use crumple_verify::{ClaimSubject, Scope, Statement};
 
 use super::{CertificateReport, CountsStatus, describe_plants, is_built_in, joint_confidence};
 
@@ -94,10 +94,11 @@ impl CertificateReport<'_> {
     }
 
     fn scope_lines(&self) -> String {
-        let scope = self.scope().to_string();
-        let mut text: String = scope.lines().map(|line| format!("  {line}\n")).collect();
-        text += built_in_line(is_built_in(self.certificate));
-        text
+        let kind = match self.certificate.statement.subject() {
+            ClaimSubject::Runs(_) => "space",
+            _ => "scenario",
+        };
+        scope_lines(&self.scope(), kind, is_built_in(self.certificate))
     }
 
     fn assumption_lines(&self) -> String {
@@ -125,11 +126,20 @@ impl CertificateReport<'_> {
     }
 }
 
-/// Returns a line about the origin of a scenario or space; empty if it is not known.
-pub(crate) fn built_in_line(is_built_in: Option<bool>) -> &'static str {
+/// Returns a scope as lines. The first one names the scenario or space; the next one states whether it is the built-in
+/// one, if that is known.
+pub(crate) fn scope_lines(scope: &Scope, kind: &str, is_built_in: Option<bool>) -> String {
+    let scope = scope.to_string();
+    let mut lines = scope.lines();
+    let subject = lines.next().unwrap_or_default();
+    let mut text = format!("  {subject}\n");
     match is_built_in {
-        Some(true) => "  it is the built-in scenario or space of that name\n",
-        Some(false) => "  it is NOT the built-in scenario or space of that name\n",
-        None => "",
+        Some(true) => text += &format!("  this {kind} is the built-in one of that name\n"),
+        Some(false) => text += &format!("  this {kind} is NOT the built-in one of that name\n"),
+        None => {}
     }
+    for line in lines {
+        text += &format!("  {line}\n");
+    }
+    text
 }

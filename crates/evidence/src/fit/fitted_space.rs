@@ -108,7 +108,8 @@ pub fn fit(sample: &EpisodeSample, options: &FitOptions) -> Result<FittedSpace, 
         }
     }
     if let Some(rejected) = describe_rejected(&features) {
-        spec.about += &format!(" {rejected}");
+        // Part of hashes, therefore not the sentence of the report.
+        spec.about += &format!(" {rejected} Rates that follow from this space depend on it.");
     }
     let space = build_space(&spec, &sample.observed, &marginals)?;
     let dependence = space.spec().dependence.as_ref();
@@ -134,8 +135,7 @@ pub(super) fn describe_rejected(features: &[FittedFeature]) -> Option<String> {
         .collect();
     (!rejected.is_empty()).then(|| {
         format!(
-            "The most likely family does not fit, with p below {MIN_P_VALUE}, for: {}. Rates that follow from this \
-             space depend on it.",
+            "The most likely family does not fit, with p below {MIN_P_VALUE}, for: {}.",
             rejected.join(", ")
         )
     })

@@ -139,7 +139,14 @@ impl<'a> FitReport<'a> {
             writeln!(out, "  Most often outside the ranges: {feature}")?;
         }
         for (index, sizes) in self.sample.sizes.iter().enumerate() {
-            writeln!(out, "  {}", sizes.sentence(index))?;
+            let who = match index {
+                0 => "Leaders".to_owned(),
+                _ if vehicles > 2 && index + 1 == vehicles => {
+                    format!("Followers (vehicle {index})")
+                }
+                _ => format!("Vehicles under test (vehicle {index})"),
+            };
+            writeln!(out, "  {who}: {}", sizes.describe())?;
         }
         Ok(())
     }
@@ -159,7 +166,10 @@ impl<'a> FitReport<'a> {
 
     fn write_explanation(&self, out: &mut String) -> fmt::Result {
         match describe_rejected(&self.fitted.features) {
-            Some(rejected) => writeln!(out, "\n{rejected}")?,
+            Some(rejected) => writeln!(
+                out,
+                "\n{rejected} Failure rates in this space depend on these distributions, although they do not fit."
+            )?,
             None => writeln!(
                 out,
                 "\nno family is rejected (every p is at least {MIN_P_VALUE})"
@@ -169,11 +179,25 @@ impl<'a> FitReport<'a> {
         let samples = first.map_or(0, |feature| feature.goodness.samples);
         writeln!(
             out,
-            "\np-values: the share of {samples} samples of the fitted distribution, fitted again, that are at least \
-             as far from their fit. They tend to be too large, because the same values chose the family, and too small \
-             where a cluster has several episodes, which depend on each other. A Gaussian copula has no tail \
-             dependence."
+            "\nA p-value is the share of {samples} samples of the fitted distribution that are at least as far from \
+             their own fit as the recorded values are from theirs. p-values tend to be too large, because the same \
+             values chose the family, and too small where a cluster has several episodes, which depend on each other. \
+             A Gaussian copula has no tail dependence."
         )
+    }
+}
+
+/// Returns the definition of a parameter that is a ratio, in brackets; empty for other parameters.
+fn describe_share(name: &str) -> String {
+    if name == "lead_final_share" {
+        return " (lowest speed of the leader while braking, relative to that at the start)"
+            .to_owned();
+    }
+    match name.strip_prefix("speed_share_") {
+        Some(vehicle) => {
+            format!(" (speed of vehicle {vehicle} at the start, relative to that of the leader)")
+        }
+        None => String::new(),
     }
 }
 
@@ -195,8 +219,9 @@ impl FittedFeature {
     fn write(&self, out: &mut String) -> fmt::Result {
         writeln!(
             out,
-            "\n{}: {}, {}",
+            "\n{}{}: {}, {}",
             self.name,
+            describe_share(&self.name),
             self.chosen.family.name(),
             self.chosen.format_estimates()
         )?;
@@ -236,7 +261,8 @@ impl FittedFeature {
         let interval = format_interval(point.interval_95, 4);
         writeln!(
             out,
-            "  {}{} in {} of {}: probability {:.4} ({interval}); the fit describes the other episodes",
+            "  exactly {}{} in {} of {} episodes: probability {:.4} ({interval}); the distribution is fitted to the \
+             others",
             point.at,
             self.printed_unit(),
             point.count,
@@ -251,8 +277,8 @@ impl FittedFeature {
         let point_count = self.point_mass.map_or(0, |point| point.count);
         writeln!(
             out,
-            "  tails: probability {} below the smallest of {} values, {:.3}{unit} ({} of them in the lowest tenth); {} \
-             above the largest, {:.3}{unit} ({} in the highest tenth)",
+            "  tails: probability {} below the smallest of {} values, {:.3}{unit} ({} of them below the 10 % quantile \
+             of the fit); {} above the largest, {:.3}{unit} ({} above the 90 % quantile)",
             format_rounded(tails.below_smallest, 3),
             self.sorted.len() as u64 - point_count,
             tails.smallest,

@@ -77,7 +77,7 @@ impl VehicleSizes {
             .collect()
     }
 
-    /// Describes the sizes of vehicle `index` from the front in a sentence.
+    /// Describes the sizes of vehicle `index` from the front in a sentence, for the field `about` of the fitted space.
     #[must_use]
     pub fn sentence(&self, index: usize) -> String {
         let who = if index == 0 {
@@ -85,6 +85,11 @@ impl VehicleSizes {
         } else {
             format!("Followers {index}")
         };
+        format!("{who}: {}", self.describe())
+    }
+
+    /// Describes the sizes, without the vehicle that has them.
+    pub(super) fn describe(&self) -> String {
         let Self {
             light,
             light_m,
@@ -101,10 +106,7 @@ impl VehicleSizes {
                 )
             }),
         ];
-        format!(
-            "{who}: {}",
-            kinds.into_iter().flatten().collect::<Vec<_>>().join(", ")
-        )
+        kinds.into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
 }
 

@@ -4,7 +4,7 @@ use crumple_core::quoting::TerminalText;
 use crumple_verify::pool::UNSTATED_RANGE_CAVEAT;
 
 use super::{PoolReport, RejectedPool};
-use crate::certificate_report::built_in_line;
+use crate::certificate_report::scope_lines;
 use crate::replay_report::plural;
 
 impl PoolReport {
@@ -27,13 +27,10 @@ impl PoolReport {
             claim.failures, claim.runs
         );
         text += &format!("  {}\n", TerminalText(&self.counts.summary()));
-        for line in claim.scope.to_string().lines() {
-            text += &format!("  {line}\n");
-        }
+        text += &scope_lines(&claim.scope, "space", self.is_built_in);
         if !claim.is_expected_range {
             text += &format!("  {UNSTATED_RANGE_CAVEAT}\n");
         }
-        text += built_in_line(self.is_built_in);
         for assumption in self.assumptions() {
             text += &format!("  assuming that {assumption}\n");
         }

@@ -15,14 +15,15 @@ use serde_json::json;
 /// Driver of the vehicle behind those under test: of the last of three or more vehicles.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum FollowerDriver {
-    /// Repeats the recorded speeds. Such a vehicle cannot react, so a collision with it blames no controller.
+    /// Repeats the recorded speeds. Such a vehicle cannot react, so a collision with it does not count against the
+    /// controller.
     Recorded,
     /// The Intelligent Driver Model.
     Idm,
     /// A human driver with reaction time; drivers differ from scenario to scenario.
     #[default]
     Human,
-    /// Coasts until the time to collision is 1.4 s: an unaware driver with an emergency brake.
+    /// Holds its speed until the time to collision is below 1.4 s: an unaware driver with an emergency brake.
     Baseline,
     /// The scenario has no such vehicle, so that no collision from behind is possible.
     None,

@@ -42,7 +42,7 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
     );
     let robustness = points.iter().map(|point| point.1).chain([0.0]);
     let y = Axis::numeric("", pad_interval(extent(robustness), 0.05), 6);
-    let title = "Best robustness (below 0 a failure)";
+    let title = "Lowest robustness (below 0 a failure)";
     let mut panel = Panel::new(panel_frame(narrow), title, x, y);
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Alert, 1.0));
     let mut entries = Vec::new();

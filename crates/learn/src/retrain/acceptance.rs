@@ -298,7 +298,7 @@ pub(super) fn to_thousandths(value: f64) -> f64 {
     (1000.0 * value).round() / 1000.0
 }
 
-/// Distance of a measure of comfort outside its range that counts as unchanged, relative to the end of the range.
+/// Distance of a measure of comfort outside its range that counts as unchanged, relative to the nearer end.
 const COMFORT_TOLERANCE: f64 = 0.01;
 
 /// Lists the measures that are worse, with the value that they are compared with: more faults than `before`, or comfort
@@ -323,7 +323,7 @@ fn worse_in_traffic(
     worse.collect()
 }
 
-/// Returns how far a value is outside a range, relative to the end of the range if that is above 1.
+/// Returns how far a value is outside a range, relative to the nearer end if that is above 1.
 fn excess_over_range(value: f64, [low, high]: [f64; 2]) -> f64 {
     ((low - value) / low.max(1.0))
         .max((value - high) / high.max(1.0))

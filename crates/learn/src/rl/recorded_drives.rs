@@ -19,7 +19,7 @@ use crumple_sim::observation::EstimatorKind;
 pub struct RecordedUsefulness {
     /// Number of drives.
     pub drive_count: u64,
-    /// Drives in which this controller has a fault, and `idm` has none: a collision to blame on the controller,
+    /// Drives in which this controller has a fault, and `idm` has none: a collision that counts against it,
     /// unnecessary braking, braking above 4 m/s² whose cause required less than 3 m/s², or falling behind.
     pub faults: u64,
     /// RMS of jerk over all drives, relative to that of `idm`.

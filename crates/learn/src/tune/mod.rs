@@ -10,8 +10,9 @@
 //!    there has the tuned settings. They are never worse than the initial settings on either set.
 //! 3. **Test.** Initial settings, tuned settings and `idm` are simulated in the test set, which decides nothing.
 //!
-//! The three sets are disjoint, and depend only on the seed. Neither the number of threads nor an interruption changes
-//! a result: `candidates.jsonl` has the result of every candidate, and a resumed search replays it.
+//! The random scenarios of the three sets are disjoint, and the same for every controller and method; recorded drives
+//! are the same in all three. Neither the number of threads nor an interruption changes a result: `candidates.jsonl`
+//! has the result of every candidate, and a resumed search replays it.
 //!
 //! | file | content |
 //! |---|---|

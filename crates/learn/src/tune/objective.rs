@@ -20,7 +20,7 @@ pub enum TuningObjective {
     ///   less than 3 m/s² was justified), and that in which the vehicle falls behind.
     /// - In `everyday`: the share of drives with one of these faults or any unnecessary braking, if `idm` has none.
     /// - In recorded drives ([`TuningPlan::drives`](super::TuningPlan::drives)), if there are any: the same share as in
-    ///   `everyday`, where only collisions to blame on the controller count.
+    ///   `everyday`, where only collisions that count against the controller do.
     /// - Half the excess over the limits of comfort and time gap: 1.2 times the RMS of acceleration (in `traffic`) and
     ///   jerk of `idm` (the excess is relative; jerk also in recorded drives), and a mean time gap in `traffic` from
     ///   1.2 to 2.1 s (the excess is in seconds).

@@ -56,8 +56,8 @@ pub struct RunReport<'a> {
     /// One entry per vehicle under test; empty without a trace.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub unnecessary_braking: Vec<UnnecessaryBrakingReport>,
-    /// True if only a vehicle behind causes the unnecessary braking, which then blames no controller. False unless
-    /// [`with_cause_of_braking`](Self::with_cause_of_braking) compared the run.
+    /// True if only a vehicle behind causes the unnecessary braking, which then does not count against the controller.
+    /// False unless [`with_cause_of_braking`](Self::with_cause_of_braking) compared the run.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub brakes_only_with_vehicle_behind: bool,
     /// Vehicles under test that fell behind their leader; empty without a trace.
@@ -211,8 +211,8 @@ impl<'a> RunReport<'a> {
     #[must_use]
     pub fn is_useful(&self) -> bool {
         let is_evaluated = !self.unnecessary_braking.is_empty();
-        let is_blamed = self.brakes_unnecessarily() && !self.brakes_only_with_vehicle_behind;
-        is_evaluated && !is_blamed && self.fell_behind.is_empty()
+        let brakes_by_itself = self.brakes_unnecessarily() && !self.brakes_only_with_vehicle_behind;
+        is_evaluated && !brakes_by_itself && self.fell_behind.is_empty()
     }
 
     /// Returns true if a specification is violated.

@@ -97,8 +97,8 @@ impl RunReport<'_> {
         let mut lines: Vec<_> = words
             .zip(self.impacts)
             .map(|(word, impact)| {
-                let blame = self.describe_blame(&impact.collision);
-                format!("  {word} {}{blame}", describe_impact(impact))
+                let note = self.note_recording(&impact.collision);
+                format!("  {word} {}{note}", describe_impact(impact))
             })
             .collect();
         if self.impacts.len() > 1 {
@@ -107,11 +107,11 @@ impl RunReport<'_> {
         lines
     }
 
-    /// Returns the reason why a collision blames no controller, after its description; empty if it may blame one.
-    fn describe_blame(&self, collision: &Collision) -> &'static str {
+    /// Returns the reason why a collision does not count against the controller, as an addition; empty if it may count.
+    fn note_recording(&self, collision: &Collision) -> &'static str {
         match CollisionRole::new(collision, self.simulated_scenario) {
             CollisionRole::HitByRecording => {
-                "; the vehicle behind repeats recorded speeds, so no controller is to blame"
+                "; does not count against the controller: the vehicle behind repeats recorded speeds"
             }
             _ => "",
         }
@@ -135,10 +135,10 @@ impl RunReport<'_> {
             .map(|line| format!("  {line}{}", self.describe_cause_of_braking()))
     }
 
-    /// Returns the cause after a description of unnecessary braking; empty if it blames the controller.
+    /// Returns the cause after a description of unnecessary braking; empty if it counts against the controller.
     fn describe_cause_of_braking(&self) -> &'static str {
         match self.brakes_only_with_vehicle_behind {
-            true => "; only with the vehicle behind: blames no controller",
+            true => "; only with the vehicle behind: does not count against the controller",
             false => "",
         }
     }
@@ -170,8 +170,15 @@ impl RunReport<'_> {
 
     fn vehicle_lines(&self) -> Vec<String> {
         let heading = format!(
-            "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {}",
-            "#", "class", "driver", "min gap m", "min TTC s", "max brake m/s²", "at the end"
+            "  {:>3}  {:<6} {:<20} {:>11} {:>11} {:>15}  {:<10}  {}",
+            "#",
+            "class",
+            "driver",
+            "min gap m",
+            "min TTC s",
+            "max brake m/s²",
+            "at the end",
+            "role"
         );
         let mut lines = vec![heading];
         for (index, summary) in self.vehicles.iter().enumerate() {
@@ -198,8 +205,13 @@ impl RunReport<'_> {
         } else {
             "moving"
         };
+        let role = match vehicle.driver {
+            Driver::UnderTest => "ego vehicle",
+            _ => "",
+        };
         format!(
-            "  {index:>3}  {class:<6} {driver:<20} {min_gap_m:>11} {min_ttc_s:>11} {max_brake_mps2:>15.2}  {end}"
+            "  {index:>3}  {class:<6} {driver:<20} {min_gap_m:>11} {min_ttc_s:>11} {max_brake_mps2:>15.2}  \
+             {end:<10}  {role}"
         )
     }
 
@@ -208,8 +220,8 @@ impl RunReport<'_> {
             return format!("CONTROLLER FAILED: {failed}");
         }
         if let Some(impact) = self.impacts.first() {
-            let blame = self.describe_blame(&impact.collision);
-            return format!("COLLISION {}{blame}", impact.collision);
+            let note = self.note_recording(&impact.collision);
+            return format!("COLLISION {}{note}", impact.collision);
         }
         let gaps_m = self.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m);
         match gaps_m.reduce(f64::min) {

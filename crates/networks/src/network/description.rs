@@ -8,6 +8,7 @@ use super::{
     NetworkFile, NetworkFormat, NetworkStep, Normalisation, SavedModel, VecNormalizeStats,
     VecNormalizeUse,
 };
+use crumple_core::quoting::TerminalText;
 
 /// Statistics of `VecNormalize` that a search beside a model found.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -139,7 +140,7 @@ impl NetworkDescription {
         );
         let comments: String = lines
             .iter()
-            .map(|line| format!("# {}\n", line.escape_debug()))
+            .map(|line| format!("# {}\n", TerminalText(line)))
             .collect();
         comments + &self.controller_file
     }

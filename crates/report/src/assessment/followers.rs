@@ -65,8 +65,31 @@ pub(super) fn describe_followers(drivers: &[String]) -> String {
         .collect();
     match (names.as_slice(), names.len() < drivers.len()) {
         ([], _) => "no vehicle follows, so no collision from behind can happen".to_owned(),
-        (names, true) => format!("{} drives the follower, or there is none", names.join(", ")),
-        (names, false) => format!("{} drives the follower", names.join(" or ")),
+        (names, has_none) => {
+            let or_none = if has_none { ", or there is none" } else { "" };
+            format!(
+                "{} drives the follower{or_none}",
+                enumerate_alternatives(names)
+            )
+        }
+    }
+}
+
+/// Joins words as in "a, b or c".
+fn enumerate_alternatives(words: &[String]) -> String {
+    match words.split_last() {
+        Some((last, [])) => last.clone(),
+        Some((last, others)) => format!("{} or {last}", others.join(", ")),
+        None => String::new(),
+    }
+}
+
+/// Explains the names of followers that are no controllers; `None` for other names.
+pub(super) fn explain_follower(name: &str) -> Option<&'static str> {
+    match name {
+        "late" => Some("`baseline` that reacts 0.5 s later"),
+        "weak" => Some("`baseline` with 0.7 times its largest deceleration"),
+        _ => None,
     }
 }
 
@@ -93,7 +116,7 @@ mod tests {
         );
         assert_eq!(
             describe_followers(&follower_kinds(&built_in_space("everyday").unwrap())),
-            "`baseline`, `human`, `idm`, `acc-aeb`, `late`, `weak` drives the follower, or there is none"
+            "`baseline`, `human`, `idm`, `acc-aeb`, `late` or `weak` drives the follower, or there is none"
         );
         assert_eq!(
             described("alone"),

@@ -55,7 +55,7 @@ pub(super) enum ListStyle {
 /// A list under a title. Without lines it states that there are none.
 #[derive(Debug, Clone)]
 pub(super) struct TitledList {
-    pub(super) title: &'static str,
+    pub(super) title: String,
     pub(super) lines: Vec<String>,
 }
 
@@ -184,11 +184,11 @@ impl TitledList {
 
     fn to_html(&self) -> Markup {
         let entries = list_to_html(&self.entries(), ListStyle::Plain);
-        html! { div { h3 { (self.title) } (entries) } }
+        html! { div { h3 { (RichText::from(&self.title).to_html()) } (entries) } }
     }
 
     fn write_markdown(&self, out: &mut Markdown) {
-        out.paragraph(format!("{}:", self.title));
+        out.heading(3, &self.title);
         out.list(self.entries().iter().map(RichText::to_inline));
     }
 }

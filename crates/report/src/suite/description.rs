@@ -2,8 +2,9 @@
 
 use crumple_core::digits::{format_fixed_down, format_fixed_up};
 use crumple_suites::{
-    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Origin, Prevention,
-    SweepFailure, TestParameter, TestParameters, TestVerdict, WarningOrigin, WorstInTolerance,
+    ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Origin, ParameterKind,
+    Prevention, SweepFailure, TestParameter, TestParameters, TestVerdict, WarningOrigin,
+    WorstInTolerance,
 };
 
 /// Describes the verdict of a test or of a point.
@@ -94,20 +95,42 @@ pub fn describe_warning(warning: WarningOrigin) -> &'static str {
     }
 }
 
-/// Describes the parameters of a test: each with its values, unit and origin.
+/// Describes the parameters of a test: each with its values, unit and origin. `ranges` are the parameters for which the
+/// document allows every value from the smallest to the largest.
 #[must_use]
-pub fn describe_parameters(parameters: &TestParameters) -> String {
+pub fn describe_parameters(parameters: &TestParameters, ranges: &[ParameterKind]) -> String {
     let all: Vec<String> = parameters
         .iter()
-        .map(|(kind, figure)| format!("{} {}", kind.label(), describe_parameter(figure)))
+        .map(|(kind, figure)| {
+            let values = describe_parameter(figure, ranges.contains(&kind));
+            format!("{} {values}", kind.label())
+        })
         .collect();
     all.join(", ")
 }
 
-fn describe_parameter(figure: &TestParameter) -> String {
+/// Explains the times of a test with an object that does not exist; `None` for other tests.
+#[must_use]
+pub fn describe_ghost(parameters: &TestParameters) -> Option<&'static str> {
+    parameters.ghost_time.as_ref()?;
+    Some(match parameters.approach_time {
+        Some(_) => {
+            "the test begins at the approach time before the place of an object that does not exist; the sensor \
+             reports the object from the closing time before this place, for the ghost time"
+        }
+        None => {
+            "the sensor reports an object that does not exist, from the closing time before its place, for the ghost \
+             time"
+        }
+    })
+}
+
+fn describe_parameter(figure: &TestParameter, is_range: bool) -> String {
     let values: Vec<String> = figure.values.iter().map(f64::to_string).collect();
-    let values = match (figure.origin, values.as_slice()) {
-        (Origin::Ends, [first, .., last]) => format!("{first} to {last}"),
+    let values = match values.as_slice() {
+        [first, .., last] if is_range || figure.origin == Origin::Ends => {
+            format!("{first} to {last}")
+        }
         _ => values.join(" or "),
     };
     let tolerance = match figure.tolerance {
@@ -158,9 +181,16 @@ impl MinMargin<'_> {
     #[must_use]
     pub fn describe(&self) -> String {
         let margin = describe_margin(self.margin);
-        match self.count {
-            0 | 1 => margin,
-            count => format!("{margin} (the smallest of {count})"),
+        match (self.count, self.margin.end) {
+            (0 | 1, _) => margin,
+            (count, MarginEnd::Holds { .. }) => {
+                format!("{margin} (the same for all {count} combinations of the other values)")
+            }
+            (count, _) => {
+                format!(
+                    "{margin} (the smallest margin of {count} combinations of the other values)"
+                )
+            }
         }
     }
 }
@@ -231,14 +261,13 @@ fn describe_margin_end(margin: &Margin) -> String {
     match margin.end {
         MarginEnd::None { failure } => {
             format!(
-                "none, the test {} at {from} {unit}",
+                "none, because the test {} at {from} {unit}, the first value tried",
                 describe_sweep_failure(failure)
             )
         }
         MarginEnd::Holds { parts } => {
-            format!(
-                "passes at all tried values, the ends of {parts} equal parts, from {from} to {to} {unit}"
-            )
+            let values = parts + 1;
+            format!("passes at all {values} equally spaced values from {from} to {to} {unit}")
         }
         MarginEnd::Boundary {
             passes_at,

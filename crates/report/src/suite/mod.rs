@@ -10,8 +10,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_suites::{ControllerResult, FailedPoint, SuiteResult, TestResult};
 
 pub use description::{
-    MinMargin, describe_impact_limit, describe_outcome, describe_parameters, describe_verdict,
-    describe_warning, describe_worst_in_tolerance, format_points, min_margins,
+    MinMargin, describe_ghost, describe_impact_limit, describe_outcome, describe_parameters,
+    describe_verdict, describe_warning, describe_worst_in_tolerance, format_points, min_margins,
 };
 pub(crate) use description::{describe_min_margins, describe_preventability};
 pub use junit::render_junit;
@@ -44,8 +44,11 @@ pub fn render_text(
         }
     }
     for (title, list) in [
-        ("not modelled", &result.not_modelled),
-        ("omitted", &result.omitted_parameters),
+        (
+            "requirements that the model cannot represent",
+            &result.not_modelled,
+        ),
+        ("values that the suite omits", &result.omitted_parameters),
     ] {
         if !list.is_empty() {
             let _ = writeln!(out, "\n{title}");
@@ -65,20 +68,28 @@ fn write_test(
     let chosen = if test.is_as_stated {
         ""
     } else {
-        " (some parameters are chosen)"
+        " (crumple chose the values marked `chosen`)"
     };
     let _ = writeln!(out, "  {}{chosen}", test.name);
-    let parameters = describe_parameters(&test.parameters);
+    let parameters = describe_parameters(&test.parameters, &test.ranges);
     if !parameters.is_empty() {
         let _ = writeln!(out, "    {parameters}");
+    }
+    if let Some(ghost) = describe_ghost(&test.parameters) {
+        let _ = writeln!(out, "    {ghost}");
     }
     if let Some(limit) = &test.impact_at_most {
         let _ = writeln!(out, "    {}", describe_impact_limit(limit));
     }
     for tested in &test.controllers {
         write_controller_result(out, tested);
-        for failed in tested.failures() {
-            write_failed_point(out, failed, replay(failed, tested));
+        for failed in &tested.failed_points {
+            write_failed_point(out, "fails at", failed, replay(failed, tested));
+        }
+        let within = tested.worst_in_tolerance.as_ref();
+        if let Some(failed) = within.and_then(|within| within.failed_point.as_ref()) {
+            let label = "worst point within the tolerances:";
+            write_failed_point(out, label, failed, replay(failed, tested));
         }
     }
 }
@@ -103,14 +114,14 @@ fn write_controller_result(out: &mut String, tested: &ControllerResult) {
     }
 }
 
-fn write_failed_point(out: &mut String, failed: &FailedPoint, replay: Option<String>) {
+fn write_failed_point(out: &mut String, label: &str, failed: &FailedPoint, replay: Option<String>) {
     let verdict = describe_verdict(&failed.verdict);
     let seeds = failed.failed_seeds.map_or_else(String::new, |failed| {
         format!(" (fails with {failed} seeds)")
     });
     let _ = writeln!(
         out,
-        "      fails at {}: {}{seeds}",
+        "      {label} {}: {}{seeds}",
         failed.point,
         TerminalText(&verdict)
     );

@@ -53,7 +53,7 @@ pub fn render_markdown_table(results: &[SuiteResult]) -> String {
             .collect()
     });
     text.table(&header, &columns, rows);
-    text.paragraph("*: some parameters are chosen, because the document does not state them.");
+    text.paragraph("*: crumple chose some parameters, because the document does not state them.");
     let warnings = tests.iter().flat_map(|(_, _, test)| &test.controllers);
     if warnings
         .filter_map(|tested| tested.warning)

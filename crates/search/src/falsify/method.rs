@@ -143,7 +143,8 @@ impl Method {
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
             Self::Auto => {
-                "several methods that share the budget: simple inputs, CMA-ES, and bisection between different outcomes"
+                "several methods that share the budget: simple inputs, CMA-ES, bisection between different outcomes, \
+                 hill climbs, and sequential convex programs"
             }
             Self::Custom(_) => "a method of the program that uses the library",
         }

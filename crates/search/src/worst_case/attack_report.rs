@@ -130,8 +130,10 @@ impl AttackReport {
                 &format!("  braking of the leader: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²\n");
         }
         if let (Some(predicted), Some(margin)) = (self.predicted_margin_m, self.margin_m) {
-            text +=
-                &format!("  margin {margin:.3} m; the last program predicted {predicted:.3} m\n");
+            text += &format!(
+                "  margin {margin:.3} m (-v²/10 of the impact at v m/s); the last convex program \
+                 predicted {predicted:.3} m\n"
+            );
         }
         text
     }

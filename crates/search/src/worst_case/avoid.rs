@@ -42,7 +42,7 @@ pub enum AvoidError {
     /// The scenario is too large to decide within minutes.
     #[error(
         "{egos} vehicles under test over {steps} steps are too many: the limits are {MAX_EGOS} vehicles and \
-         {MAX_EGO_STEPS} vehicles times steps"
+         {MAX_EGO_STEPS} for vehicles times steps"
     )]
     TooLarge {
         /// Vehicles under test.

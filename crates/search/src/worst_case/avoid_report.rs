@@ -13,8 +13,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "no larger smallest gap was found on this grid, over all trigger times of the follower's \
-    emergency brake";
+const LARGEST_GAP: &str = "no escape with a larger gap was found on the time grid of the accelerations, for any firing \
+    time of the follower's emergency brake";
 
 /// Report of an analysis of avoidability. Reading its JSON returns the same report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -175,14 +175,12 @@ impl AvoidReport {
     }
 
     fn multi_body_line(&self) -> Option<String> {
-        let replay = if self.escape_survives_multi_body? {
-            "no collision either"
+        let result = if self.escape_survives_multi_body? {
+            "this escape has no collision either"
         } else {
-            "a COLLISION: it depends on the point mass"
+            "the accelerations of this escape cause a COLLISION: `avoidable` is shown for point masses only"
         };
-        Some(format!(
-            "with the multi-body plant, this escape has {replay}"
-        ))
+        Some(format!("with the multi-body plant, {result}"))
     }
 }
 
@@ -199,7 +197,7 @@ fn criterion(found_by: FoundBy) -> String {
     match found_by {
         FoundBy::Programs => LARGEST_GAP.to_owned(),
         FoundBy::ClosedLoop { simulations } => format!(
-            "no larger smallest gap was found in {simulations} simulated profiles, with the drivers of all other \
+            "no escape with a larger gap was found in {simulations} simulated profiles, with the drivers of all other \
              vehicles in the loop"
         ),
     }

@@ -1,7 +1,7 @@
 //! Convex programs that decide avoidability, and that find the least braking that makes a controller fail.
 //!
 //! **Avoidability** ([`avoid()`]). A leader follows its script; the vehicles under test move freely within their limits
-//! and know the future; the vehicle behind them coasts until its latched emergency brake fires. Each firing step is a
+//! and know the future; the vehicle behind them keeps its speed until its latched brake fires. Each firing step is a
 //! linear program (`program`), whose multipliers bound all others (`multipliers`, `firing_search`). Verdicts:
 //!
 //! - *avoidable*, with a profile that the simulator replays without collision at two step sizes (`escape`). The

@@ -101,8 +101,8 @@ fn describe_undecided_gap(low_m: Option<f64>, high_m: f64) -> String {
     if let Some(low_m) = low_m {
         let low = format_fixed_down(low_m, 6);
         format!(
-            "the largest possible smallest gap lies between {low} and {high} m, which neither shows nor \
-             excludes an escape"
+            "the best motion of the ego vehicle keeps a smallest gap between {low} and {high} m, so an escape is \
+             neither shown nor excluded"
         )
     } else {
         format!(

@@ -212,11 +212,11 @@ pub enum AfterCollision {
     /// The run ends at the instant of the collision.
     #[default]
     Stop,
-    /// The vehicles continue as one body with common momentum, so that a pile-up can be counted. Controllers decide
-    /// on, also by a gap of 0.
+    /// The vehicles move on as one body, at the common speed that conserves momentum, and later collisions are counted.
+    /// Controllers decide on, also by a gap of 0.
     Continue,
     /// The run continues, but a vehicle that has hit its leader brakes at [`HELD_BRAKE_MPS2`] to standstill, and no
-    /// vehicle observes a follower that has hit it. Scripts keep their motion.
+    /// vehicle observes a follower that has hit it. A script continues to command its vehicle.
     Hold,
     /// The run continues like [`Hold`](Self::Hold), but a vehicle that has hit its leader neither brakes nor
     /// accelerates.

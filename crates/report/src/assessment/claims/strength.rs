@@ -469,7 +469,9 @@ impl Strength {
                 format!("0 of {runs} fail, {undecided} undecided")
             }
             Self::Gain { largest, points } => {
-                format!("largest gain {largest} at {points} operating points")
+                format!(
+                    "largest gain {largest}, measured at {points} operating points (mean speed and frequency)"
+                )
             }
             Self::Between { .. } | Self::Bounded { .. } | Self::Exceeded { .. } => {
                 self.describe_bounds()
@@ -583,8 +585,8 @@ impl Strength {
                 confidence_percent,
                 runs,
             } => format!(
-                "of {runs} counted runs, only it fails in {only_own}, only the other in {only_other}{}, confidence \
-                 {confidence_percent} %",
+                "in {only_own} of {runs} counted runs, it fails and the other does not; in {only_other}, the other \
+                 fails and it does not{}; confidence {confidence_percent} %",
                 describe_unanswered(*unanswered)
             ),
             Self::Compared {

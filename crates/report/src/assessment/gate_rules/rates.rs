@@ -193,7 +193,8 @@ fn compare_counts(
         .counted_pairs(controller, than, &named.content_id)?;
     let [own, other] = counted.only_one_failed;
     let reason = format!(
-        "of the same {} counted runs, only {controller} fails in {own}, only {than} in {other}{}",
+        "in {own} of the same {} counted runs, {controller} fails and {than} does not; in {other}, {than} fails and \
+         {controller} does not{}",
         counted.runs, counted.unanswered
     );
     let [own_count, other_count] = [own, other].map(|events| EventCount { events, unknown: 0 });

@@ -10,7 +10,7 @@ use super::{
     AssessmentLimits, ClaimSummary, FailureSearches, FollowerReport, RecordedDrives, ScenarioCases,
     UsefulnessReport,
 };
-use crate::assessment::claims::{AssuranceClaim, InferenceRule, Property, Strength};
+use crate::assessment::claims::{AssuranceClaim, Domain, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::followers::describe_followers;
 use crate::assessment::report_block::{ListStyle, ParagraphStyle, ReportBlock, TitledList};
@@ -52,6 +52,9 @@ pub struct FirstPage {
     /// Drivers of the followers in the domains of the measured claims, as a sentence; empty without such claims.
     #[serde(skip)]
     followers: String,
+    /// Name of the controller that the question is about.
+    #[serde(skip)]
+    subject: String,
 }
 
 const MAX_FAILURES_SHOWN: usize = 3;
@@ -87,17 +90,18 @@ impl FirstPage {
                 .map(|limit| limit.assumed)
                 .collect(),
             followers: describe_followers_of_claims(plan, summary.measured_claims()),
+            subject: plan.subject_name().to_owned(),
         }
     }
 
     fn evidence_lists(&self) -> Vec<TitledList> {
         vec![
             TitledList {
-                title: "Evidence against it",
+                title: format!("Evidence against `{}`", self.subject),
                 lines: self.against.clone(),
             },
             TitledList {
-                title: "Evidence for it",
+                title: format!("Evidence for `{}`", self.subject),
                 lines: self.speaks_for.clone(),
             },
         ]
@@ -132,18 +136,22 @@ fn speaks_for(subject_claim: &SubjectClaim<'_>) -> bool {
 
 fn describe_support(plan: &AssessmentPlan, subject_claim: &SubjectClaim<'_>) -> String {
     format!(
-        "{}{}: {}",
-        subject_claim.row.claim,
-        note_followers(plan, subject_claim.claim),
+        "{}: {}",
+        with_followers(plan, subject_claim.claim, &subject_claim.row.claim),
         subject_claim.status.strength.describe()
     )
 }
 
-/// Names the drivers of the followers in brackets after a claim about collisions or failures; otherwise empty.
-fn note_followers(plan: &AssessmentPlan, claim: &AssuranceClaim) -> String {
-    followers_of_claim(plan, claim).map_or_else(String::new, |drivers| {
-        format!(" ({})", describe_followers(&drivers))
-    })
+/// Names the drivers of the followers in brackets at the end of a phrase, if the claim is about collisions or failures.
+fn with_followers(plan: &AssessmentPlan, claim: &AssuranceClaim, phrase: &str) -> String {
+    let Some(drivers) = followers_of_claim(plan, claim) else {
+        return phrase.to_owned();
+    };
+    let followers = describe_followers(&drivers);
+    match phrase.strip_suffix(')') {
+        Some(open) => format!("{open}; {followers})"),
+        None => format!("{phrase} ({followers})"),
+    }
 }
 
 fn ask_question(plan: &AssessmentPlan) -> String {
@@ -202,13 +210,24 @@ fn compared_domains(
     (!domains.is_empty()).then(|| domains.join(" and "))
 }
 
-/// Describes a claim that does not hold: the violation first, then its frequency.
+/// Describes a claim that does not hold: the violation and its frequency.
 fn describe_refutation(
     plan: &AssessmentPlan,
     SubjectClaim { row, claim, status }: &SubjectClaim<'_>,
 ) -> String {
-    let followers = note_followers(plan, claim);
-    let domain = format!("{}{followers}", claim.describe_domain());
+    let violation = claim.property.describe_violation();
+    if let (Strength::Refuted { failures, runs }, Domain::Draws { space, seed, draws }) =
+        (&status.strength, &claim.domain)
+        && runs == draws
+    {
+        let scenarios = format!(
+            "{failures} of {draws} random scenarios of `{}` (seed {seed})",
+            space.name
+        );
+        let scenarios = with_followers(plan, claim, &scenarios);
+        return format!("{violation} in {scenarios}");
+    }
+    let domain = with_followers(plan, claim, &claim.describe_domain());
     let strength = status.strength.describe_facts();
     match status.strength {
         // No violation occurred; the controller only failed to answer.
@@ -217,12 +236,7 @@ fn describe_refutation(
             refutes: true,
             ..
         } => format!("failure {domain}: {strength}"),
-        _ if status.strength.is_refutation() => {
-            format!(
-                "{} {domain}: {strength}",
-                claim.property.describe_violation()
-            )
-        }
+        _ if status.strength.is_refutation() => format!("{violation} {domain}: {strength}"),
         _ => format!("{}: {strength}", row.claim),
     }
 }
@@ -328,9 +342,8 @@ fn list_assurances(plan: &AssessmentPlan, relevant: &[&SubjectClaim<'_>]) -> Str
         .filter(|subject_claim| subject_claim.status.strength.is_assurance())
         .map(|subject_claim| {
             format!(
-                "{}{} ({})",
-                subject_claim.row.claim,
-                note_followers(plan, subject_claim.claim),
+                "{} ({})",
+                with_followers(plan, subject_claim.claim, &subject_claim.row.claim),
                 subject_claim.status.strength.describe()
             )
         });
@@ -346,8 +359,9 @@ impl FirstPage {
             TerminalText(&self.question),
             TerminalText(&self.answer_text)
         );
-        text + &plain_text_list("evidence against it:", &self.against)
-            + &plain_text_list("evidence for it:", &self.speaks_for)
+        let subject = TerminalText(&self.subject);
+        text + &plain_text_list(&format!("evidence against `{subject}`:"), &self.against)
+            + &plain_text_list(&format!("evidence for `{subject}`:"), &self.speaks_for)
     }
 }
 

@@ -219,12 +219,22 @@ impl FollowerSpace {
             .collect()
     }
 
-    /// Returns a table with a row for each controller and a column for each kind of follower.
+    /// Returns the number of scenarios with a kind of follower, the same for each controller.
+    fn scenarios_with(&self, kind: &str) -> Option<u64> {
+        let counts = self.controllers.first()?.by_kind.get(kind)?;
+        Some(counts.random_scenarios)
+    }
+
+    /// Returns a table with a row for each controller and a column for each kind of follower, with its number of
+    /// scenarios.
     fn kind_table(&self, heading: &str, cell: impl Fn(&KindCounts) -> ReportCell) -> ReportTable {
         let names: Vec<_> = self
             .kinds
             .iter()
-            .map(|kind| format!("{kind} behind"))
+            .map(|kind| match self.scenarios_with(kind) {
+                Some(count) => format!("{kind} behind ({count})"),
+                None => format!("{kind} behind"),
+            })
             .collect();
         let header = std::iter::once(heading).chain(names.iter().map(String::as_str));
         let mut table = ReportTable::new(&header.collect::<Vec<_>>());
@@ -253,10 +263,13 @@ impl FollowerSpace {
                 ))
             })
         } else {
-            let heading = format!("failures (%); hard unnecessary braking, in {space}");
+            let heading = format!("failures; hard unnecessary braking, in {space}");
             self.kind_table(&heading, |counts| {
-                let percent = counts.failure_percent().observed;
-                ReportCell::number(format!("{percent}; {}", counts.hard_braking))
+                ReportCell::number(format!(
+                    "{}; {}",
+                    counts.ends.failures(),
+                    counts.hard_braking
+                ))
             })
         }
     }
@@ -373,7 +386,7 @@ impl FollowerReport {
         }
         let spaces: Vec<_> = self.spaces.iter().map(FollowerSpace::describe).collect();
         out.paragraph(format!(
-            "By kind of follower, in {}. {}",
+            "Numbers of scenarios by kind of follower, in {}. In brackets: all scenarios with this kind. {}",
             spaces.join(", and "),
             falls_behind_note()
         ));

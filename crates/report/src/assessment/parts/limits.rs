@@ -90,7 +90,7 @@ const LIMITS_OF_EVERY_ASSESSMENT: [LimitingAssumption; 5] = [
                   while vehicles approach each other.",
     },
     LimitingAssumption {
-        assumed: "Vehicles stick together after a collision, with common momentum",
+        assumed: "Vehicles stick together after a collision; their momentum is conserved",
         meaning: "Deformation, rebound and steering are not modelled, so delta-v is approximate.",
     },
     LimitingAssumption {

@@ -83,15 +83,16 @@ fn note_ended_by_others(driven: &DriveReport) -> Option<String> {
     let ended = ended_by_others(driven);
     let [drives, these] = match ended {
         0 => return None,
-        1 => ["1 drive".to_owned(), "this collision blames".to_owned()],
+        1 => ["1 drive".to_owned(), "this collision does not".to_owned()],
         _ => [
             format!("{ended} drives"),
-            "these collisions blame".to_owned(),
+            "these collisions do not".to_owned(),
         ],
     };
     Some(format!(
         "{}: {drives} ended with a collision of other vehicles, or from behind with a vehicle that repeats recorded \
-         speeds ({}). Such a vehicle cannot react, so {these} no controller, and the rest of the drive is unknown.",
+         speeds ({}). Such a vehicle cannot react, so {these} count against the controller, and the rest of \
+         the drive is unknown.",
         driven.controller, driven.hit_by_recording
     ))
 }

@@ -352,7 +352,7 @@ impl PlannedSuiteResult {
             let chosen = if test.is_as_stated {
                 ""
             } else {
-                " (some parameters chosen)"
+                " (crumple chose some values)"
             };
             let head = [
                 ReportCell::text(format!("{}{chosen}", test.name)),

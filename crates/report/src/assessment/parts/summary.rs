@@ -7,10 +7,12 @@ use crate::assessment::claims::{
     AssuranceClaim, ClaimStatus, Domain, InferenceRule, Ledger, Property,
 };
 use crate::assessment::document::ReportDocument;
+use crate::assessment::followers::{explain_follower, follower_kinds};
 use crate::assessment::report_part::{Chapter, PartHeading, ReportPart};
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, GateResult};
 use crumple_core::markdown::prose_name;
+use crumple_sim::control::{BuiltInController, ControllerSource as _};
 use crumple_spaces::built_in_space_summary;
 
 /// Every claim about every controller.
@@ -21,7 +23,7 @@ pub struct ClaimSummary {
     pub subject: Option<String>,
     /// Names of the controllers, in the order of each claim's statuses.
     pub controllers: Vec<String>,
-    /// Explanations of the names of controllers and scenario spaces.
+    /// Explanations of the names of controllers, followers and scenario spaces.
     pub named: Vec<NameExplanation>,
     /// One row per claim.
     pub claims: Vec<ClaimRow>,
@@ -36,7 +38,7 @@ pub struct ClaimSummary {
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct NameExplanation {
-    /// Name of a controller or scenario space.
+    /// Name of a controller, follower or scenario space.
     pub name: String,
     /// Explanation in a few words.
     pub explanation: String,
@@ -241,7 +243,32 @@ fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
             explanation: explanation.to_owned(),
         }
     });
-    controllers.chain(spaces).collect()
+    let followers = explain_followers(plan).into_iter();
+    controllers.chain(followers).chain(spaces).collect()
+}
+
+/// Explains the followers of the spaces that are no controllers of the assessment, each once.
+fn explain_followers(plan: &AssessmentPlan) -> Vec<NameExplanation> {
+    let mut followers: Vec<NameExplanation> = Vec::new();
+    for kind in plan.all_spaces().iter().flat_map(follower_kinds) {
+        let name = format!("follower `{}`", prose_name(&kind));
+        let is_controller = plan
+            .controllers
+            .iter()
+            .any(|controller| controller.name == kind);
+        let is_known = followers.iter().any(|follower| follower.name == name);
+        let explanation = explain_follower(&kind).map(str::to_owned).or_else(|| {
+            let built_in = BuiltInController::from_name_or_preset(&kind)?;
+            Some(built_in.description())
+        });
+        if let Some(explanation) = explanation
+            && !is_controller
+            && !is_known
+        {
+            followers.push(NameExplanation { name, explanation });
+        }
+    }
+    followers
 }
 
 /// Returns the text before the first `.` or `:` that is not part of a word or number.
@@ -314,7 +341,10 @@ impl ReportPart for ClaimSummary {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        out.collapsible("names of controllers and spaces", self.name_table());
+        out.collapsible(
+            "names of controllers, followers and spaces",
+            self.name_table(),
+        );
         out.paragraph(LEGEND);
         out.list(LEVELS);
         out.table(self.table());

@@ -307,7 +307,7 @@ impl CampaignSummary {
     fn write_subject(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
-            "{} in `{}`: {}, estimator {}, seed {}",
+            "{} in `{}`: specification `{}`, estimator {}, seed {}",
             TerminalText(&self.subject.controller),
             TerminalText(&self.subject.space),
             TerminalText(&self.subject.specification),
@@ -372,14 +372,14 @@ impl CampaignSummary {
     fn write_methods(&self, out: &mut String) -> std::fmt::Result {
         writeln!(
             out,
-            "\n  {:<14} {:>11} {:>14} {:>9} {:>16}",
-            "method", "evaluations", "first failure", "failures", "best robustness"
+            "\n  {:<14} {:>11} {:>14} {:>9} {:>17}",
+            "method", "evaluations", "first failure", "failures", "lowest robustness"
         )?;
         for (index, method) in self.methods.iter().enumerate() {
             let first = method
                 .first_falsification
                 .map_or("-".to_owned(), |first| first.to_string());
-            let best = format_or_hyphen(method.best_robustness, 3);
+            let lowest = format_or_hyphen(method.best_robustness, 3);
             let note = if index > 0 {
                 "  (reference search)"
             } else {
@@ -387,8 +387,14 @@ impl CampaignSummary {
             };
             writeln!(
                 out,
-                "  {:<14} {:>11} {first:>14} {:>9} {best:>16}{note}",
+                "  {:<14} {:>11} {first:>14} {:>9} {lowest:>17}{note}",
                 method.method, method.evaluations, method.failures
+            )?;
+        }
+        if self.goes_by_collisions() && self.failure_criterion.is_none() {
+            writeln!(
+                out,
+                "  robustness: smallest gap in m; after a collision, the negative impact speed in m/s"
             )?;
         }
         Ok(())
@@ -446,12 +452,23 @@ impl CampaignSummary {
         if self.counterexamples.is_empty() {
             return Ok(());
         }
-        writeln!(out, "\n  distinct failures, shrunk, severest first")?;
-        let shows_specification =
-            self.subject.specification.parse() != Ok(Specification::NoCollision);
+        let shows_specification = !self.goes_by_collisions();
+        let order = match shows_specification {
+            true => "violation of the specification",
+            false => "impact speed of the first collision",
+        };
+        writeln!(
+            out,
+            "\n  distinct failures, shrunk, by {order} (likelihood rank 1: the likeliest)"
+        )?;
+        let count = self.counterexamples.len();
         for counterexample in &self.counterexamples {
-            counterexample.write(out, shows_specification)?;
+            counterexample.write(out, shows_specification, count)?;
         }
         Ok(())
+    }
+
+    fn goes_by_collisions(&self) -> bool {
+        self.subject.specification.parse() == Ok(Specification::NoCollision)
     }
 }

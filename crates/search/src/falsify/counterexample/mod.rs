@@ -79,7 +79,7 @@ pub struct Counterexample {
     #[serde(alias = "departure")]
     pub distance_from_nominal: f64,
     /// Rank by likelihood, from 1; equal ones by distance from nominal. The list itself is sorted by severity: impact
-    /// speed, then delta-v, both to whole m/s, then vehicles involved; for a formula, the violation.
+    /// speed, then delta-v, then vehicles involved; for a formula, the violation.
     pub likelihood_rank: usize,
     /// True if the failure disappears at a tenth of the step.
     pub dt_fragile: bool,
@@ -143,8 +143,14 @@ impl fmt::Display for ChangedParameter {
 }
 
 impl Counterexample {
-    /// Writes a description for readers; `of_formula` is true if a formula is violated.
-    pub(in crate::falsify) fn write(&self, out: &mut String, of_formula: bool) -> std::fmt::Result {
+    /// Writes a description for readers; `of_formula` is true if a formula is violated. `count` is the number of
+    /// distinct failures.
+    pub(in crate::falsify) fn write(
+        &self,
+        out: &mut String,
+        of_formula: bool,
+        count: usize,
+    ) -> std::fmt::Result {
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
         writeln!(
             out,
@@ -156,7 +162,7 @@ impl Counterexample {
         let runs = if self.found_at == 1 { "run" } else { "runs" };
         writeln!(
             out,
-            "      {}; likelihood rank {}; {} after {} {runs}",
+            "      {}; likelihood rank {} of {count}; {} after {} {runs}",
             self.describe_consequences(),
             self.likelihood_rank,
             self.found_by,
@@ -212,7 +218,7 @@ impl Counterexample {
             format!("delta-v {delta_v_mps:.1} m/s, ")
         });
         let harm = if self.harm > 0.0 {
-            format!("harm {:.3}, ", self.harm)
+            format!("expected seriously injured drivers {:.3}, ", self.harm)
         } else {
             String::new()
         };

@@ -124,8 +124,8 @@ struct State {
 
 impl BuiltIn for Predictive {
     const NAME: &'static str = "predictive";
-    const SUMMARY: &'static str = "follows like idm, brakes early so that an inattentive follower brakes, and stops \
-        between leader and follower";
+    const SUMMARY: &'static str = "follows like idm, brakes early to wake (alert) an inattentive follower, and stops \
+        so that room remains ahead and behind";
     const OBSERVES_FOLLOWER: bool = true;
     type Settings = PredictiveSettings;
     type Driver = Self;
