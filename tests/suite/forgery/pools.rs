@@ -458,10 +458,10 @@ fn the_committed_pools_are_accepted() {
         },
         CommittedPool {
             folder: "baseline-large",
-            seeds: 40,
-            runs: 40_000_000,
-            blocks: 40_000,
-            failures: 39_222_029,
+            seeds: 100,
+            runs: 100_000_000,
+            blocks: 100_000,
+            failures: 98_054_660,
             rerun_percent: 0.01,
         },
     ];
