@@ -464,6 +464,14 @@ fn the_committed_pools_are_accepted() {
             failures: 98_054_660,
             rerun_percent: 0.01,
         },
+        CommittedPool {
+            folder: "road-large",
+            seeds: 50,
+            runs: 5_000_000,
+            blocks: 50_000,
+            failures: 447_502,
+            rerun_percent: 0.01,
+        },
     ];
     pools.iter().for_each(assert_accepted);
 }
