@@ -27,9 +27,10 @@ a finer grid may find a larger one. crumple also prints an upper bound of this g
 `crumple check` accepted. Every other result is `undecided`, with the reason.
 
 The search and the proof solve convex programs. These model only a scripted leader, and a follower that drives \
-`baseline` without lag. With any other driver (idm, acc-aeb, a policy), crumple simulates some thousands of \
-acceleration profiles of the vehicles under test, with that driver in the loop, and the escape is the best of them. A \
-proof of `unavoidable` then concerns the collision with a scripted leader alone.
+`baseline` (which holds its speed, and brakes to standstill once its emergency brake has fired) without lag. With any \
+other driver (idm, acc-aeb, a policy), crumple simulates some thousands of acceleration profiles of the vehicles \
+under test, with that driver in the loop, and the escape is the best of them. A proof of `unavoidable` then concerns \
+the collision with a scripted leader alone.
 
 At most 20 vehicles may be under test. Their number times the number of steps may be at most 50 000. The largest \
 undecided problem takes about two minutes.

@@ -22,8 +22,8 @@ Damaged work cannot be resumed; start again with a new --out. The same seed give
 
 `fsck` also names files that do not belong to the results. It does not check the files beside the folders `seed-N`: \
 `training.json` and the learning curves, which every `train` writes again. A report of `crumple assess` has a \
-`work.json`, too; `assess` checks the evidence in the folder `evidence` when it reuses it. To write a damaged report \
-again, move changed files away and run the same command again.
+`work.json`, too. Its folder `evidence` has none: `assess` checks these files when it uses them again. To write a \
+damaged report again, move changed files away and run the same command again.
 The exit code is 1 if a file is damaged.
 
 `fsck` detects files that were truncated, edited, moved or lost. It does not detect changes by a person who also \

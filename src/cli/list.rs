@@ -15,14 +15,14 @@ use crumple_spaces::{BUILT_IN_SPACES, VARIANT_SPACES};
 
 const SHIELD_ENTRY: (&str, &str) = (
     "shield:policy",
-    "policy with a shield: full braking if the policy's command would leave the safety kernel; shield: works with any \
-     controller",
+    "the controller policy with a shield, which brakes fully if the command of the controller would leave the safety \
+     kernel; shield: can stand before any controller",
 );
 
 const TWO_SIDED_SHIELD_ENTRY: (&str, &str) = (
     "shield2:policy",
-    "policy with a two-sided shield: passes a command only if, after it, a plan avoids collisions with the leader and \
-     with a follower of the stated class; shield2: works with any controller",
+    "the controller policy with a two-sided shield, which passes a command only if a plan remains that avoids \
+     collisions with the leader and with a follower of the stated class; shield2: can stand before any controller",
 );
 
 const FILE_ENTRY: (&str, &str) = (

@@ -104,8 +104,8 @@ pub(super) struct Retrain {
     #[arg(long, alias = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     validation_draws: u64,
-    /// Random scenarios of the paper's distribution, and drives of `traffic` and of `everyday`, in the validation set:
-    /// 1 to 1 000 000
+    /// Scenarios in the validation set of each of three kinds: random ones of the paper's distribution, of the space
+    /// `traffic`, and of the space `everyday`; 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     nominal: u64,

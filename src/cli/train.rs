@@ -29,7 +29,7 @@ use crumple_store::study::StudyFolder;
 #[command(after_long_help = "\
 Presets:
   fast       solves the paper's task within about a minute per seed (default)
-  paper-net  the paper's networks and rewards, corrected: reaches the paper's return for a time
+  paper-net  `paper` with a saturation penalty and slower decisions: reaches the paper's return for a time
   paper      the paper's exact settings: takes many hours, and does not reach the paper's return
   road       imitates the controller `predictive`
 
@@ -66,8 +66,8 @@ pub(super) struct Train {
     /// be repeated, each space once. These spaces, each with a `cost_multiplier` of 1, replace those of the preset
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
     space: Vec<TrainingSpace>,
-    /// Folder of recorded drives (see `crumple import --whole`), in which collisions, unnecessary braking, falling
-    /// behind and jerk also lower the rank of a policy; the preset needs `usefulness_draws` (random scenarios)
+    /// Folder of recorded drives (see `crumple import --whole`). The best policy is chosen by its collisions,
+    /// unnecessary braking, falling behind and jerk in these drives, too. The preset must have `usefulness_draws`
     #[arg(long, value_name = "DIR")]
     drives: Option<String>,
     /// Train this seed [default: 0]

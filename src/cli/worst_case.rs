@@ -40,8 +40,8 @@ it is simulated; a smaller one between the simulated sizes may exist. To compare
 limit of its kind (for the range: the loss of range by the largest loss). The fault with the smallest quotient is the \
 mildest. --out writes the scenario with the mildest fault that causes a collision, or else unnecessary braking.
 
-The printed margin is the smallest gap in metres or, after a collision at v m/s, -v²/10. A scenario may have 500 000 \
-vehicle steps, and all simulations together 20 000 million, which takes some minutes.
+The printed margin is the smallest gap in metres. After a collision with an impact speed of v m/s, it is -v²/10. A \
+scenario may have 500 000 vehicle steps, and all simulations together 20 000 million, which takes some minutes.
 
 Examples:
   crumple worst-case paper-1 --controller baseline

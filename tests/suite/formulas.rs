@@ -1,10 +1,12 @@
 //! Measures of runs, and formulas over them.
 
 use crumple_fuzzing::formula_from_bytes;
+use crumple_measure::Specification;
 use crumple_measure::stl::{
     Formula, SampledSignals, SyntaxProblem, motion_signal_names, motion_signals, naive_robustness,
 };
 use crumple_sim::engine::{AfterCollision, Trace, Track};
+use crumple_sim::scenario::built_in_scenario;
 use proptest::prelude::*;
 
 use crate::generate::{any_test_case, simulate_traced, with_cases};
@@ -136,6 +138,26 @@ fn undefined_values_are_reported_with_their_time() {
         error
     );
     assert!(error.contains("0.7"), "{error}");
+}
+
+/// A stated end of an interval lies within the run, also beside and inside intervals without an end.
+#[test]
+fn formulas_that_need_longer_runs_are_refused() {
+    let nominal = built_in_scenario("paper-1").expect("built in");
+    let limit_s = nominal.spec().duration_s;
+    for (text, needed_s) in [
+        ("eventually[0,5] always[0,3] v1.gap_m > 0", 8.0),
+        ("always[2,inf] eventually[0,5] v1.gap_m > 0", 7.0),
+        ("always v1.gap_m > 0", 0.0),
+        ("always v1.gap_m > 0 and always[0,90] v1.gap_m > 0", 90.0),
+        ("always[80,inf] v1.gap_m > 0", 80.0),
+        ("always eventually[0,70] v1.gap_m > 0", 70.0),
+    ] {
+        let formula: Formula = text.parse().unwrap();
+        assert_eq!(formula.stated_horizon_s(), needed_s, "{text}");
+        let parsed = Specification::parse(text, &nominal);
+        assert_eq!(parsed.is_ok(), needed_s <= limit_s, "{text}: {parsed:?}");
+    }
 }
 
 /// The page lists every operator and signal, and explains the parsing of formulas.

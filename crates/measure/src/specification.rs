@@ -208,9 +208,9 @@ impl Specification {
             });
         }
         // A window without an end is clipped to the run. A stated end must lie within the run.
-        let horizon_s = formula.horizon_s();
+        let horizon_s = formula.stated_horizon_s();
         let duration_s = nominal.spec().duration_s;
-        if horizon_s.is_finite() && horizon_s > duration_s {
+        if horizon_s > duration_s {
             return Err(SpecificationError::HorizonTooLong {
                 horizon_s,
                 duration_s,

@@ -102,7 +102,7 @@ impl VehicleSizes {
             (*heavy > 0).then(|| format!("{heavy} heavy ones (median {heavy_m:.1} m)")),
             (*unknown > 0).then(|| {
                 format!(
-                    "{unknown} of unrecorded length, assumed to be light ones of {light_m:.1} m"
+                    "{unknown} without a recorded length, assumed to be light and {light_m:.1} m long"
                 )
             }),
         ];

@@ -338,12 +338,17 @@ impl<'a, 'b> Replay<'a, 'b> {
             StoryAction::Speed(speed) => self.speed_change(speed, actor, start_s),
             StoryAction::SpeedProfile(profile) => {
                 if profile.is_loose {
-                    let text = "the mode `follow` leaves the motion open: the speeds are those of the profile";
-                    self.note_once(Some(profile.node.note(text)));
+                    self.note_loose_motion(profile.node, "the speeds are those of the profile");
                 }
                 Ok(PlanChange::Profile(&profile.entries))
             }
             StoryAction::Trajectory(trajectory) => {
+                if trajectory.is_loose {
+                    self.note_loose_motion(
+                        trajectory.node,
+                        "the positions are those of the trajectory",
+                    );
+                }
                 match self.trajectory_vertices(trajectory, actor, start_s) {
                     Ok(vertices) => Ok(PlanChange::Trajectory(vertices)),
                     // The controller does not follow it, wherever it leads.
@@ -355,6 +360,12 @@ impl<'a, 'b> Replay<'a, 'b> {
             }
             _ => Ok(PlanChange::Until(start_s)),
         }
+    }
+
+    /// Notes how crumple moves an entity whose action has the following mode `follow`.
+    fn note_loose_motion(&mut self, action: Node<'a>, motion: &str) {
+        let text = format!("the mode `follow` leaves the motion open: {motion}");
+        self.note_once(Some(action.note(&text)));
     }
 
     /// Remembers an action that the controller of an entity replaces.

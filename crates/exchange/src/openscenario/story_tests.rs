@@ -916,6 +916,22 @@ fn a_trajectory_without_times_follows_the_speed() {
     );
 }
 
+/// The standard leaves open how a vehicle follows a trajectory in the mode `follow`: a note states what it does.
+#[test]
+fn a_trajectory_in_the_mode_follow_has_a_note() {
+    let text = two_events("parallel", &lane_change("-1"), &after(20.0));
+    let vertices = [(0.0, 140.0, 0.0), (0.0, 400.0, 0.0)];
+    let exact = with_initial_trajectory(&text, &vertices, "<None/>");
+    let loose = exact.replace("followingMode=\"position\"", "followingMode=\"follow\"");
+    for (text, expected) in [(&exact, 0), (&loose, 1)] {
+        let (_, notes) = import(text).unwrap();
+        let is_noted = |note: &&String| note.contains("`follow` leaves the motion open");
+        assert_eq!(notes.iter().filter(is_noted).count(), expected, "{notes:?}");
+    }
+    let other = exact.replace("followingMode=\"position\"", "followingMode=\"near\"");
+    assert!(import(&other).unwrap_err().to_string().contains("near"));
+}
+
 /// An action of the speed stops a trajectory of `Init` with times, and the vehicle keeps its lateral position.
 #[test]
 fn a_trajectory_of_the_start_is_stopped_by_an_action() {

@@ -13,7 +13,7 @@ use super::speed_plan::take_samples;
 use super::storyboard::StoryAction;
 use super::trajectory::{self, PathVertex, rounding_m};
 use super::trigger::Firing;
-use super::vocabulary::{ReferenceContext, TransitionShape};
+use super::vocabulary::{FOLLOW_MODE, POSITION_MODE, ReferenceContext, TransitionShape};
 use super::xml::Node;
 use crumple_core::digits::{format_fixed, format_number};
 
@@ -43,6 +43,8 @@ pub(super) struct TrajectoryAction<'a> {
     resolution_m: f64,
     /// True if the vertices have a constant rate, but for the rounding of the times in the file.
     has_rounded_times: bool,
+    /// True for the following mode `follow`.
+    pub(super) is_loose: bool,
 }
 
 /// Reads an action that follows a trajectory.
@@ -65,6 +67,10 @@ pub(super) fn read_trajectory<'a>(
     {
         return Err(node.refuse("initialDistanceOffset is not supported"));
     }
+    let mode = node.optional("TrajectoryFollowingMode");
+    if let Some(mode) = mode {
+        mode.expect("followingMode", &[POSITION_MODE, FOLLOW_MODE])?;
+    }
     let polyline = read_polyline(node.optional("TrajectoryRef").unwrap_or(node))?;
     let timing = TrajectoryTiming::read(node.child("TimeReference")?.single()?)?;
     let mut vertices = read_vertices(polyline, timing.as_ref())?;
@@ -80,6 +86,7 @@ pub(super) fn read_trajectory<'a>(
         has_rounded_times,
         vertices,
         timing,
+        is_loose: mode.and_then(|mode| mode.raw("followingMode")) == Some(FOLLOW_MODE),
     }))
 }
 

@@ -80,13 +80,15 @@ fn split_at_jumps(drive: Vec<DriveInstant>) -> Vec<Vec<DriveInstant>> {
             piece_start_s = at_s;
         }
     }
-    // From the end: each piece is then copied once, and none keeps memory for the instants after it.
+    // From the end: each piece is then copied once.
     let mut rest = drive;
     let mut pieces = Vec::new();
     for cut_s in cuts_s.into_iter().rev() {
         let end = rest.partition_point(|instant| instant.time_s < cut_s - 1e-6);
         pieces.push(rest.split_off(end));
     }
+    // The first piece would otherwise keep memory for the whole drive.
+    rest.shrink_to_fit();
     pieces.push(rest);
     pieces.reverse();
     pieces

@@ -202,14 +202,32 @@ impl Formula {
     /// window.
     #[must_use]
     pub fn horizon_s(&self) -> f64 {
+        self.sum_of_windows_s(TimeWindow::to_s)
+    }
+
+    /// Returns the duration from which on the stated ends of all windows can lie within a trace, in seconds: as
+    /// [`Formula::horizon_s`], but of an unbounded window, only the start counts.
+    #[must_use]
+    pub fn stated_horizon_s(&self) -> f64 {
+        self.sum_of_windows_s(|window| {
+            if window.to_s.is_finite() {
+                window.to_s
+            } else {
+                window.from_s
+            }
+        })
+    }
+
+    /// Returns the largest sum of nested windows, each of the given length in seconds.
+    fn sum_of_windows_s(&self, length_s: fn(TimeWindow) -> f64) -> f64 {
         let operands_s = self
             .operands()
             .into_iter()
-            .map(Self::horizon_s)
+            .map(|operand| operand.sum_of_windows_s(length_s))
             .fold(0.0, f64::max);
         match self {
             Self::Always(window, _) | Self::Eventually(window, _) | Self::Until(_, window, _) => {
-                window.to_s + operands_s
+                length_s(*window) + operands_s
             }
             Self::Compare(_) | Self::Not(_) | Self::And(..) | Self::Or(..) | Self::Implies(..) => {
                 operands_s

@@ -115,12 +115,13 @@ pub fn describe_ghost(parameters: &TestParameters) -> Option<&'static str> {
     parameters.ghost_time.as_ref()?;
     Some(match parameters.approach_time {
         Some(_) => {
-            "the test begins at the approach time before the place of an object that does not exist; the sensor \
-             reports the object from the closing time before this place, for the ghost time"
+            "the sensor reports an object that does not exist: the approach time is from the start of the test to the \
+             place of this object, the closing time from its first report to this place, and the ghost time is the \
+             duration of the report"
         }
         None => {
-            "the sensor reports an object that does not exist, from the closing time before its place, for the ghost \
-             time"
+            "the sensor reports an object that does not exist: the closing time is from its first report to its place, \
+             and the ghost time is the duration of the report"
         }
     })
 }

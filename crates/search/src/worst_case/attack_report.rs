@@ -131,7 +131,7 @@ impl AttackReport {
         }
         if let (Some(predicted), Some(margin)) = (self.predicted_margin_m, self.margin_m) {
             text += &format!(
-                "  margin {margin:.3} m (-v²/10 of the impact at v m/s); the last convex program \
+                "  margin {margin:.3} m (after an impact at v m/s: -v²/10); the last convex program \
                  predicted {predicted:.3} m\n"
             );
         }

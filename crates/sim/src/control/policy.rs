@@ -180,14 +180,16 @@ macro_rules! committed_policy {
 
 committed_policy! {
     /// The committed policy that imitates `predictive`.
-    RoadPolicy, "road", Policy::road, "policy that imitates `predictive` in ten of the built-in spaces (preset road)"
+    RoadPolicy, "road", Policy::road,
+    "policy that imitates predictive, trained with the preset road in ten built-in spaces"
 }
 committed_policy! {
     /// The committed reference policy.
-    ReferencePolicy, "policy", Policy::reference, "the committed reference policy, learned by DDPG"
+    ReferencePolicy, "policy", Policy::reference,
+    "policy that learned the task of the paper by DDPG (preset fast, seed 7)"
 }
 committed_policy! {
     /// The committed policy that was retrained.
     RetrainedPolicy, "retrained", Policy::retrained,
-    "policy retrained in the space high-risk by retrain (corpora/policy/README.md)"
+    "policy, after crumple retrain in the space high-risk (corpora/policy/README.md)"
 }

@@ -459,7 +459,8 @@ impl CampaignSummary {
         };
         writeln!(
             out,
-            "\n  distinct failures, shrunk, by {order} (likelihood rank 1: the likeliest)"
+            "\n  distinct failures, each made simpler (it may be milder than before), by {order} \
+             (likelihood rank 1: the likeliest)"
         )?;
         let count = self.counterexamples.len();
         for counterexample in &self.counterexamples {

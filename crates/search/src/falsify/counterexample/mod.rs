@@ -215,7 +215,7 @@ impl Counterexample {
     /// Describes the consequences of all collisions.
     fn describe_consequences(&self) -> String {
         let delta_v = self.max_delta_v_mps.map_or(String::new(), |delta_v_mps| {
-            format!("delta-v {delta_v_mps:.1} m/s, ")
+            format!("largest delta-v {delta_v_mps:.1} m/s, ")
         });
         let harm = if self.harm > 0.0 {
             format!("expected seriously injured drivers {:.3}, ", self.harm)
