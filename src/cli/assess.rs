@@ -47,8 +47,8 @@ fn long_help() -> String {
     format!(
         "Without a file, `assess` compares {compared}. It simulates the paper's scenarios, 1000 random scenarios of \
          the paper's distribution, 200 each of `traffic` and `high-risk`, and 1400 each of `followers` and `everyday`, \
-         and searches for failures. For each scenario it searches for the best escape (see `crumple avoid`). It checks \
-         all certificates. {CONFIGURATION}"
+         and searches for failures. For each of the paper's scenarios it searches for the best escape (see `crumple \
+         avoid`). It checks all certificates. {CONFIGURATION}"
     )
 }
 

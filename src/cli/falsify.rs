@@ -48,9 +48,11 @@ With --against, both controllers drive each scenario. The robustness is max(r, -
 
 Formulas for --spec use signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 \
 and v1.jerk_mps3; vehicles are numbered from the front. A formula may have 4000 tokens, nested 64 deep, and a space \
-file 3 MiB. docs/stl.md lists all signals, operators and their precedence. An evaluation of --budget takes about 360 \
-bytes of disk, or with --log summary 40 bytes until the campaign ends; memory does not grow with the budget. A \
-million evaluations need 360 MB, and in the space `paper` about six minutes on two cores.
+file 3 MiB. docs/stl.md lists all signals, operators and their precedence.
+
+An evaluation takes about 60 to 180 bytes of disk, depending on space and method, and 40 more until the campaign \
+ends; with --log summary only these 40. Memory does not grow with the budget. In the space `paper`, --budget 1000000 \
+(three million evaluations) needs about 360 MB, and about six minutes on two cores.
 
 With --drives, the domain is a folder of recorded drives. The controller drives each of them once: there is no search, \
 no shrinking and no replay. The folder of --out receives the failed drives, the severest first (`counterexamples/`), \

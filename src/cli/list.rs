@@ -34,7 +34,7 @@ const FILE_ENTRY: (&str, &str) = (
 const SETTING_ENTRY: (&str, &str) = (
     "NAME,SETTING=VALUE",
     "a controller of this list with another value of a setting; (off): the value switches the setting off; meanings of \
-     settings: docs/reference/scenarios.md",
+     settings: crates/sim/src/scenario/scenario.schema.json",
 );
 
 /// List the built-in scenarios, controllers, scenario spaces and search methods

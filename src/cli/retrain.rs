@@ -31,24 +31,24 @@ const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 /// Retrain a policy on avoidable failures that a search finds; accept no regression
 #[derive(Args)]
 #[command(after_long_help = "\
-Each round searches every --space for collisions of the policy, attacks every --scenario, and collects the avoidable \
+Each round searches every --space for collisions of the policy, simulates every --scenario, and collects the avoidable \
 collisions. It then trains the policy on these, mixed with random scenarios of the preset's spaces (if the preset has \
 none, of the paper's distribution and --space), and evaluates the best checkpoint. With `[imitation]` in the preset \
 (`road`), the policy imitates the expert in these scenarios. crumple accepts the checkpoint only if
-  - no scenario of the paper, or of its distribution, has a new collision
+  - no scenario of the paper, and none of the --nominal random ones of its distribution, has a new collision
   - collisions on the validation set do not increase, and they decrease there or in the collected scenarios
-  - the policy is significantly worse in none of the --regression spaces: by collisions and, where `idm` drives \
-without fault, also by hard unnecessary braking and vehicles that fall behind (McNemar's exact one-sided test on the \
-same random scenarios, p below 0.01)
+  - the policy is significantly worse in none of the --regression spaces: by collisions and, in spaces in which \
+`idm` never collides, brakes hard unnecessarily or falls behind, also by scenarios in which the policy does (McNemar's \
+exact one-sided test on the same random scenarios, p below 0.01)
   - with `usefulness_draws` in the preset, drives of `traffic` do not have more collisions, hard unnecessary braking \
 or vehicles that fall behind; rms jerk and rms acceleration exceed the larger value of the initial policy and of \
-`idm` by at most 1 % of that of `idm`; and the mean time gap is at most 1 % further outside 1.2 to 2.1 s than that of \
-the initial policy
+`idm` by at most 1 % of that of `idm`; and the mean time gap is further outside 1.2 to 2.1 s than that of the initial \
+policy by at most 1 % of the nearer limit
   - with `usefulness_draws`, the number of drives of `everyday` in which the policy has a fault (collision, \
 unnecessary or hard unnecessary braking, falling behind) and `idm` has none does not increase, and the rms jerk there \
 has the same limit; with --drives, also in the recorded drives
-  - with `usefulness_draws`, the last of five vehicles in a line changes its speed at most as much as the first, or as \
-before
+  - with `usefulness_draws`, behind a leader that slows down and recovers, the last of five vehicles changes its speed \
+at most as much as the leader, or as with the policy before the round
 The retraining ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the \
 test set.
 
@@ -65,16 +65,16 @@ Examples:
     --test-draws 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
-    /// Initial policy: `policy`, `retrained`, `road`, or a policy file
+    /// Initial policy: `policy`, `retrained` (see `crumple list controllers --all`), `road`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
     /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file; may be
     /// repeated [default: the spaces of the preset, or `high-risk` if it has none]
     #[arg(long, value_name = "S")]
     space: Vec<String>,
-    /// Scenario that each round also attacks, as it is and with the worst-case braking of a scripted leader: built-in,
-    /// a file, or a folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
-    /// [default: if the preset has `[imitation]`, paper-1 and paper-2, otherwise none]
+    /// Scenario that each round also simulates, as it is and, if its leader follows a script, with that leader's
+    /// worst-case braking: built-in, a file, or a folder, for example of collisions that a fuzz target wrote; may be
+    /// repeated, `none` for none [default: if the preset has `[imitation]`, paper-1 and paper-2, otherwise none]
     #[arg(long, value_name = "F")]
     scenario: Vec<PathBuf>,
     /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file of the same form
@@ -122,7 +122,7 @@ pub(super) struct Retrain {
     #[arg(value_parser = args::whole_number::<u64>(1..=10_000_000))]
     test_draws: u64,
     /// Folder of recorded drives (see `crumple import --whole`), in which no round may make the policy less useful; the
-    /// preset needs `usefulness_draws`
+    /// preset needs `usefulness_draws` (docs/training.md), as `road` has
     #[arg(long, value_name = "DIR")]
     drives: Option<String>,
     /// Seed of searches and trainings

@@ -235,7 +235,7 @@ fn fish_names(command: &Command, condition: &str) -> String {
     lines.collect()
 }
 
-/// Write manual pages: `man -l DIR/crumple.1`
+/// Write manual pages to --out DIR; `man -l DIR/crumple.1` shows one
 #[derive(Args)]
 pub(super) struct Man {
     /// Folder for the pages, one per command, created if missing; `crumple-man.sha256` lists them. crumple replaces

@@ -118,7 +118,7 @@ pub(super) struct Simulate {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum RunExpectation {
-    /// No collision, and no controller fails
+    /// No collision, and every controller answers
     Safe,
     /// Like `safe`; in addition, there is a vehicle under test, none falls behind, and none brakes unnecessarily,
     /// unless a vehicle behind causes the braking

@@ -29,8 +29,10 @@ use crumple_store::study::StudyFolder;
 #[command(after_long_help = "\
 Presets:
   fast       solves the paper's task within about a minute per seed (default)
-  paper-net  `paper` with a saturation penalty and slower decisions: reaches the paper's return for a time
-  paper      the paper's exact settings: takes many hours, and does not reach the paper's return
+  paper-net  `paper` with a penalty on saturated actions and a decision every 0.1 s: reaches the
+             paper's return, but does not keep it
+  paper      the paper's settings, or crumple's where it states none: takes many hours, and does not
+             reach the paper's return
   road       imitates the controller `predictive`
 
 The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, \

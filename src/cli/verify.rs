@@ -66,24 +66,25 @@ struct ShieldCommand {
 #[command(after_long_help = "\
 Before the first run, crumple writes the settings that determine the count (controllers, space, seed, runs, \
 confidence) to DIR/registration.json, and their digest to standard error. It counts random scenarios in order; \
---resume continues an interrupted count. A run fails if vehicles collide.
+--resume continues an interrupted count. A run fails if vehicles collide, or if the controller gives no answer.
 
 With --rare, crumple uses multilevel splitting to estimate the probability of a failure that is too rare to count: \
-populations of runs pass levels of ever lower smallest gaps. A pilot determines the levels; the estimate is the mean \
-of independent repetitions, with an interval from their spread. The result is an estimate and no bound: it has no \
-certificate, and DIR/rare-estimate.json says so. DIR/failures gets scenario files of about 200 failures, and \
-DIR/rare-failures.json the probability that each stands for: a weighted sample of the failures. The pilot and every \
-repetition are written to DIR as they end; --resume continues an interrupted estimate, to the same bytes.
+populations of runs pass levels of decreasing smallest gap (with --spec, of decreasing robustness). A pilot \
+determines the levels; the estimate is the mean of independent repetitions, with an interval from their spread. The \
+result is an estimate and no bound: it has no certificate, and DIR/rare-estimate.json says so. DIR/failures gets \
+scenario files of about 200 failures, and DIR/rare-failures.json the probability that each stands for: a weighted \
+sample of the failures. The pilot and every repetition are written to DIR as they end; --resume continues an \
+interrupted estimate, to the same bytes.
 
 If the space states the driving time and distance of its episodes (see `crumple fit`), crumple also prints failures \
 per hour and per 1000 km, each with two intervals: one that treats the space as exact, and one with the uncertainty of \
 the data, from --resamples of the episodes (docs/fitting.md).
 
 With --drives the domain is a folder of recorded drives. The controller drives each once; crumple prints collisions \
-and unnecessary braking per hour and per 100 km, with exact 95 % intervals for independent events, and those of the \
-recorded cars. A collision from behind with a vehicle that repeats recorded speeds counts separately, and not \
-against the controller. There is no certificate, because the drives are not drawn at random. A folder may have \
-10 000 files and 64 MiB.
+(with missing answers) and unnecessary braking, also that of the recorded cars, per hour and per 100 km, with exact \
+95 % intervals for independent events. A collision from behind with a vehicle that repeats recorded speeds counts \
+separately, and not against the controller. There is no certificate, because the drives are not drawn at random. A \
+folder may have 10 000 files and 64 MiB.
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
@@ -131,8 +132,8 @@ struct RateCommand {
     /// With --rare: specification, as in `crumple falsify` [default: no collision]
     #[arg(long, value_name = "STL", requires = "rare")]
     spec: Option<String>,
-    /// With --rare: size of a population, 50 to 100 000. Each repetition has up to 18 levels, with four runs per sample
-    /// [default: 500]
+    /// With --rare: size of a population, 50 to 100 000. Each repetition takes one run per sample, and four more at
+    /// each of up to 18 levels before the failure [default: 500]
     #[arg(long, value_name = "N", requires = "rare", value_parser = args::whole_number::<u32>(50..=100_000))]
     samples: Option<u32>,
     /// With --rare: independent populations, 5 to 1000 [default: 20]

@@ -147,7 +147,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "README.md",
-            "`road` collides less often than `idm`, if the brake acts at once",
+            "`road` collides less often than `idm`, if its own brake acts at once",
         ),
         (
             "reports/driver.md",

@@ -89,8 +89,8 @@ pub struct ControllerFile {
     /// True if the current inputs come first instead of last.
     #[serde(default)]
     pub newest_first: bool,
-    /// True if the inputs apply the `VecNormalize` of the training: means as `offset`, square roots of variance plus
-    /// epsilon as `scale`, `clip_obs` as `low` and `high`. False if observations were not normalised. Required for a
+    /// True if the inputs apply the `VecNormalize` of the training: means as `offset`, √(variance + epsilon)
+    /// as `scale`, ±`clip_obs` as `low` and `high`. False if observations were not normalised. Required for a
     /// model that may have been trained with `VecNormalize`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub normalised: Option<bool>,

@@ -18,7 +18,7 @@ pub struct CountRecord {
     pub(super) space_text: String,
 }
 
-/// Counts so far. A run fails if vehicles collide, or if its controller fails.
+/// Counts so far. A run fails if vehicles collide, or if a controller gives no answer.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CountTally {

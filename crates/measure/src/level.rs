@@ -152,7 +152,7 @@ impl LevelMeasures {
     #[must_use]
     pub fn describe(&self) -> String {
         format!(
-            "vehicle {}: level {:.2} m/s² on this road at the start, at least {:.2} m/s² (at {:.1} s)",
+            "vehicle {}: level {:.2} m/s² on this road at the start, smallest {:.2} m/s² (at {:.1} s)",
             self.vehicle, self.start_mps2, self.min_mps2, self.min_at_s
         )
     }

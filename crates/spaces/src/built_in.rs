@@ -62,7 +62,7 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 9] = [
 pub const VARIANT_SPACES: [(&str, &str, &str); 3] = [
     (
         FOLLOWERS,
-        "the emergencies of high-risk, with each of seven kinds of follower in equal shares",
+        "the emergencies of high-risk, with each of six kinds of follower, and none, in equal shares",
         "high-risk",
     ),
     (

@@ -70,7 +70,8 @@ impl Scenarios {
         Self(Arc::new(Family::Any))
     }
 
-    /// Variations of a scenario: friction, gaps, speeds, delays and the leader's script change by up to a quarter.
+    /// Variations of a scenario: gaps, speeds and the leader's script change by up to a quarter; friction falls by up
+    /// to a quarter; reaction delays of vehicles under test grow by up to 0.3 s.
     ///
     /// # Errors
     /// [`ScenariosError::Near`] if no number of the scenario can vary.

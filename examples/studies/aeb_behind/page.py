@@ -251,16 +251,16 @@ COMBINATIONS combinations of three assumptions:
 
 - After an impact, vehicles *hold* their brakes or *coast*.
 
-- Followers are `human`, `idm`, `acc-aeb` and `baseline` alike (*4 types*) or the first three (*3 types*); in questions
-10 and 11 `human` only (FEW combinations).
+- Followers: equal shares of [`human`, `idm`, `acc-aeb` and `baseline`](../docs/reference/scenarios.md#drivers)
+(*4 types*), or the first three (*3 types*); questions 10 and 11: `human` only (FEW combinations).
 
 - *No lorries* or *half lorries* are among them.
 
-Other answers name combinations whose intervals lie on one side of 0 (question 12: of +20 %). Elsewhere a change is not
-excluded. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of all combinations, runs and
+Other answers name combinations whose intervals lie on one side of 0 (question 12: of +20 %). Other combinations are
+undecided. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of all combinations, runs and
 observations; brackets span all intervals, corrected for COMPARISONS comparisons of EMERGENCIES emergencies each.
 Combinations share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may change answers.
-[Systems](#systems) defines the brakes. *It* is the car under test, *people* are drivers."""
+[Systems](#systems) defines brakes and lead-vehicle tests. *It* is the car under test, *people* are drivers."""
 
 
 def sizes(runs):

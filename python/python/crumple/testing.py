@@ -34,7 +34,11 @@ def any_scenario() -> st.SearchStrategy[Scenario]:
 
 
 def near(scenario: ScenarioLike) -> st.SearchStrategy[Scenario]:
-    """Variations of a scenario: friction, gaps, speeds, delays and the leader's script change by up to a quarter."""
+    """Variations of a scenario.
+
+    Gaps, speeds and the leader's script change by up to a quarter. Friction falls by up to a quarter, and reaction
+    delays of vehicles under test grow by up to 0.3 s.
+    """
     return _strategy(Family.near(find_scenario(scenario)))
 
 

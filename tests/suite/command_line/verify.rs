@@ -167,7 +167,8 @@ fn the_report_of_a_two_sided_shield_speaks_of_its_level() {
             format!("simulate paper-1 --controller {before}shield2:idm --estimator truth");
         let report = run_ok(folder.path(), &command);
         assert!(
-            stdout(&report).contains("the level of the state was lower than the one to keep"),
+            stdout(&report)
+                .contains("at least once it had no plan for the level to keep (setting `level`)"),
             "{}",
             stdout(&report)
         );

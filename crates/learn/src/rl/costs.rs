@@ -16,8 +16,8 @@ const MAX_WEIGHT: f64 = 100.0;
 /// | `relative_speed` | speed difference to the leader / 10 m/s, at most 1 |
 /// | `acceleration` | (acceleration / 7.5 m/s²)² |
 /// | `jerk` | jerk / 75 m/s³ |
-/// | `imposed` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
-/// | `needless` | unnecessary braking: more than 1 m/s² beyond [`justified_brake_mps2`] / 7.5 m/s² |
+/// | `induced_braking` | (follower's deceleration - leader's deceleration, at least 0) / 7.5 m/s², at least 0 |
+/// | `unnecessary_braking` | (deceleration - [`justified_brake_mps2`] of this step - 1 m/s²) / 7.5 m/s², at least 0 |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about an absent vehicle are 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

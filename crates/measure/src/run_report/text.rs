@@ -160,7 +160,7 @@ impl RunReport<'_> {
 
     fn shield_lines(&self) -> impl Iterator<Item = String> {
         let outside = if self.has_two_sided_shield {
-            "the level of the state was lower than the one to keep"
+            "at least once it had no plan for the level to keep (setting `level`)"
         } else {
             "the state was outside the safety kernel"
         };

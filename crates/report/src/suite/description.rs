@@ -3,8 +3,8 @@
 use crumple_core::digits::{format_fixed_down, format_fixed_up};
 use crumple_suites::{
     ControllerResult, FailedPoint, ImpactLimit, Margin, MarginEnd, Origin, ParameterKind,
-    Prevention, SweepFailure, TestParameter, TestParameters, TestVerdict, WarningOrigin,
-    WorstInTolerance,
+    Prevention, ReferenceRun, SweepFailure, TestParameter, TestParameters, TestVerdict,
+    WarningOrigin, WorstInTolerance,
 };
 
 /// Describes the verdict of a test or of a point.
@@ -320,14 +320,14 @@ fn describe_sweep_failure(failure: SweepFailure) -> &'static str {
     }
 }
 
-/// Describes the reference drivers that could have prevented a failure.
+/// Describes the reference drivers that could have prevented a failure, and its avoidability.
 pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
-    let mut parts: Vec<_> = failed
-        .references
-        .iter()
-        .map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention)))
-        .collect();
-    parts.extend(failed.avoidability.describe());
+    // Only collisions have reference drivers.
+    let is_collision = !failed.references.is_empty();
+    let references = is_collision.then(|| describe_references(&failed.references));
+    let not_examined = || is_collision.then(|| "avoidability not examined".to_owned());
+    let avoidability = failed.avoidability.describe().or_else(not_examined);
+    let mut parts: Vec<String> = references.into_iter().chain(avoidability).collect();
     if failed.escape_survives_multi_body == Some(false) {
         parts.push("with the multi-body plant the escape COLLIDES".to_owned());
     }
@@ -337,12 +337,25 @@ pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
     parts.join("; ")
 }
 
-pub(super) fn describe_prevention(prevention: Prevention) -> &'static str {
-    match prevention {
-        Prevention::Prevents => "prevents it",
-        Prevention::Collides => "collides",
-        Prevention::DoesNotReact => "does not react",
-    }
+/// Groups the reference drivers by their behaviour in place of the controller.
+fn describe_references(references: &[ReferenceRun]) -> String {
+    let groups = [
+        (Prevention::Prevents, "that prevent it"),
+        (Prevention::Collides, "that collide"),
+        (Prevention::DoesNotReact, "that do not react"),
+    ];
+    let groups: Vec<String> = groups
+        .into_iter()
+        .filter_map(|(prevention, behaviour)| {
+            let drivers: Vec<&str> = references
+                .iter()
+                .filter(|run| run.prevention == prevention)
+                .map(|run| run.driver.as_str())
+                .collect();
+            (!drivers.is_empty()).then(|| format!("{behaviour}: {}", drivers.join(", ")))
+        })
+        .collect();
+    format!("reference drivers {}", groups.join("; "))
 }
 
 #[cfg(test)]

@@ -13,8 +13,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "for each time at which the emergency brake of the follower could fire, the search found no \
-    escape with a larger gap, with accelerations in the steps of --grid";
+const LARGEST_GAP: &str = "whenever the follower's emergency brake fires, the search found no escape with a larger \
+    gap, with accelerations held for the time of --grid";
 
 /// Report of an analysis of avoidability. Reading its JSON returns the same report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -278,7 +278,8 @@ impl SignalSet {
     /// Adds a time to a clock. Counts it and `values` values at this time.
     fn add_time(&mut self, clock: usize, time_s: f64, values: usize) -> Result<(), MdfError> {
         if self.from_s.is_some_and(|from_s| time_s < from_s) {
-            let problem = "a long recording whose groups are not in order of time: save it again in this order";
+            let problem = "a long recording with samples that are not in order of time in their data group: save it \
+                           again in this order";
             return Err(MdfError::Unsupported(problem.to_owned()));
         }
         self.clocks_s[clock].push(time_s);

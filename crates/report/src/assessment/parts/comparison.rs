@@ -259,8 +259,8 @@ const NEW_FAILURE: &str = "new failure";
 /// Rule for results of other random runs.
 const OTHER_RUNS_NOTE: &str = "Results of another number of runs are better or worse if the runs that both assessments \
     have show it. Otherwise, and with another seed, they are better or worse only if the 99.9 % intervals of the two \
-    failure rates are disjoint. Bounds of failure rates must be disjoint, at their own confidence. A failure that only \
-    a larger search found, or a search with another seed, is not worse.";
+    failure rates are disjoint. Bounds of failure rates show a change only if they exclude each other, at their own \
+    confidence. A failure that only a larger search found, or a search with another seed, is not worse.";
 
 /// Maximum number of worse results on a terminal.
 const MAX_WORSE_LINES: usize = 20;

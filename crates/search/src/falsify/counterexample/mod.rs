@@ -159,14 +159,13 @@ impl Counterexample {
             self.kind,
             self.describe_severity(of_formula)
         )?;
-        let runs = if self.found_at == 1 { "run" } else { "runs" };
         writeln!(
             out,
-            "      {}; likelihood rank {} of {count}; {} after {} {runs}",
+            "      {}; likelihood rank {} of {count}; from evaluation {} of {}",
             self.describe_consequences(),
             self.likelihood_rank,
-            self.found_by,
-            self.found_at
+            self.found_at,
+            self.found_by
         )?;
         if let Some(avoidability) = self.avoidability.describe() {
             let collides = self.escape_survives_multi_body == Some(false);
