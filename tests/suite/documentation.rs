@@ -90,7 +90,9 @@ fn pages_that_a_help_names_explain_it() {
             }
         }
     }
-    let replay = fs::read_to_string(root.join("src/cli/replay.rs")).unwrap();
+    let replay = fs::read_to_string(root.join("src/cli/replay.rs"))
+        .unwrap()
+        .replace(" \\\n", " ");
     let glossary = fs::read_to_string(root.join("docs/glossary.md")).unwrap();
     assert!(replay.contains("(docs/glossary.md): more than 2 m/s²"));
     assert!(

@@ -57,14 +57,14 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 9] = [
     ),
 ];
 
+/// Description of the space `followers`.
+pub(crate) const FOLLOWERS_SUMMARY: &str =
+    "the emergencies of high-risk, with each of six kinds of follower, and none, in equal shares";
+
 /// Name, one-line description and base of each variant of a built-in space with another follower. Variants are not in
 /// [`BUILT_IN_SPACES`], so that no default includes them.
 pub const VARIANT_SPACES: [(&str, &str, &str); 3] = [
-    (
-        FOLLOWERS,
-        "the emergencies of high-risk, with each of six kinds of follower, and none, in equal shares",
-        "high-risk",
-    ),
+    (FOLLOWERS, FOLLOWERS_SUMMARY, "high-risk"),
     (
         "high-risk-human",
         "the emergencies of high-risk, with a human as the follower",
@@ -80,7 +80,7 @@ pub const VARIANT_SPACES: [(&str, &str, &str); 3] = [
 const PAPER: &str = include_str!("built_in/paper.toml");
 const HIGH_RISK: &str = include_str!("built_in/high-risk.toml");
 /// Name of the variant whose follower is drawn.
-const FOLLOWERS: &str = "followers";
+pub(crate) const FOLLOWERS: &str = "followers";
 const EVERYDAY: &str = include_str!("built_in/everyday.toml");
 const TRAFFIC: &str = include_str!("built_in/traffic.toml");
 const STANDING: &str = include_str!("built_in/standing.toml");

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::built_in::{FOLLOWERS, FOLLOWERS_SUMMARY};
 use super::{InvalidSpace, ScenarioSpace, SpaceProblem, SpaceSpec};
 use crumple_core::old_names;
 use crumple_core::text_file::{FileError, line_in_toml, parse_toml, read};
@@ -42,21 +43,30 @@ pub fn from_toml(
     )
 }
 
-/// Space whose description was reworded, its file, and the description in version 1, which hashes still contain:
-/// trainings and certificates name the space by its hash.
-const REWORDED_SPACE: &str = "traffic";
-const REWORDED_FILE: &str = include_str!("built_in/traffic.toml");
-const DESCRIPTION_OF_VERSION_1: &str = include_str!("built_in/traffic-about-of-version-1.txt");
+const TRAFFIC_FILE: &str = include_str!("built_in/traffic.toml");
+/// Descriptions before they were reworded. Hashes still contain them, because trainings and certificates name a space
+/// by its hash.
+const FIRST_DESCRIPTION_OF_TRAFFIC: &str = include_str!("built_in/traffic-about-of-version-1.txt");
+const FIRST_DESCRIPTION_OF_FOLLOWERS: &str =
+    "the emergencies of high-risk, with each of seven kinds of follower in equal shares";
+
+/// Returns the first description of a built-in space that was reworded.
+fn first_description(spec: &SpaceSpec) -> Option<&'static str> {
+    match spec.name.as_str() {
+        "traffic" => {
+            let built_in = toml::from_str::<SpaceSpec>(TRAFFIC_FILE).ok()?;
+            (built_in.about == spec.about).then(|| FIRST_DESCRIPTION_OF_TRAFFIC.trim_end())
+        }
+        FOLLOWERS => (spec.about == FOLLOWERS_SUMMARY).then_some(FIRST_DESCRIPTION_OF_FOLLOWERS),
+        _ => None,
+    }
+}
 
 /// Returns the data of a space with the description that its hash contains.
 fn identity_spec(space: &ScenarioSpace) -> SpaceSpec {
     let mut spec = space.spec().clone();
-    let is_reworded = || {
-        let built_in = toml::from_str::<SpaceSpec>(REWORDED_FILE);
-        built_in.is_ok_and(|built_in| built_in.about == spec.about)
-    };
-    if spec.name == REWORDED_SPACE && is_reworded() {
-        spec.about = DESCRIPTION_OF_VERSION_1.trim_end().to_owned();
+    if let Some(description) = first_description(&spec) {
+        spec.about = description.to_owned();
     }
     spec
 }

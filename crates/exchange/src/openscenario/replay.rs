@@ -343,12 +343,6 @@ impl<'a, 'b> Replay<'a, 'b> {
                 Ok(PlanChange::Profile(&profile.entries))
             }
             StoryAction::Trajectory(trajectory) => {
-                if trajectory.is_loose {
-                    self.note_loose_motion(
-                        trajectory.node,
-                        "the positions are those of the trajectory",
-                    );
-                }
                 match self.trajectory_vertices(trajectory, actor, start_s) {
                     Ok(vertices) => Ok(PlanChange::Trajectory(vertices)),
                     // The controller does not follow it, wherever it leads.
@@ -363,7 +357,7 @@ impl<'a, 'b> Replay<'a, 'b> {
     }
 
     /// Notes how crumple moves an entity whose action has the following mode `follow`.
-    fn note_loose_motion(&mut self, action: Node<'a>, motion: &str) {
+    pub(super) fn note_loose_motion(&mut self, action: Node<'a>, motion: &str) {
         let text = format!("the mode `follow` leaves the motion open: {motion}");
         self.note_once(Some(action.note(&text)));
     }

@@ -44,7 +44,7 @@ pub(super) struct TrajectoryAction<'a> {
     /// True if the vertices have a constant rate, but for the rounding of the times in the file.
     has_rounded_times: bool,
     /// True for the following mode `follow`.
-    pub(super) is_loose: bool,
+    is_loose: bool,
 }
 
 /// Reads an action that follows a trajectory.
@@ -239,6 +239,10 @@ impl<'a> Replay<'a, '_> {
         actor: usize,
         start_s: f64,
     ) -> Result<Vec<PathVertex>> {
+        if action.is_loose {
+            let motion = "the positions are those of the trajectory";
+            self.note_loose_motion(action.node, motion);
+        }
         take_samples(action.node, action.vertices.len(), &mut self.samples_left)?;
         let work = WORK_PER_VERTEX * action.vertices.len() as u64;
         self.work.spend(action.node, work)?;
