@@ -26,8 +26,8 @@ const MAX_PRINTED_REFUSALS: usize = 10;
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
 pub(super) struct OpenScenarioArgs {
-    /// Vehicle under test of an OpenSCENARIO file [default: entities with the controller `under-test`, or else the only
-    /// entity with a controller, if that has no built-in name]
+    /// Vehicle under test of an OpenSCENARIO file [default: entities with the controller `under-test`, or the entity
+    /// with the only controller of the file, if this has no built-in name]
     #[arg(long, value_name = "NAME")]
     ego: Option<String>,
     /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination

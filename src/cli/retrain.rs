@@ -38,8 +38,8 @@ none, of the paper's distribution and --space), and evaluates the best checkpoin
   - no scenario of the paper, and none of the --nominal random ones of its distribution, has a new collision
   - collisions on the validation set do not increase, and they decrease there or in the collected scenarios
   - the policy is significantly worse in none of the --regression spaces: by collisions and, in spaces in which \
-`idm` never collides, brakes hard unnecessarily or falls behind, also by scenarios in which the policy does (McNemar's \
-exact one-sided test on the same random scenarios, p below 0.01)
+`idm` has none of three faults (collision, hard unnecessary braking, falling behind), also by scenarios in which the \
+policy has one (McNemar's exact one-sided test on the same random scenarios, p below 0.01)
   - with `usefulness_draws` in the preset, drives of `traffic` do not have more collisions, hard unnecessary braking \
 or vehicles that fall behind; rms jerk and rms acceleration exceed the larger value of the initial policy and of \
 `idm` by at most 1 % of that of `idm`; and the mean time gap is further outside 1.2 to 2.1 s than that of the initial \
@@ -104,8 +104,8 @@ pub(super) struct Retrain {
     #[arg(long, alias = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     validation_draws: u64,
-    /// Scenarios in the validation set of each of three kinds: random ones of the paper's distribution, of the space
-    /// `traffic`, and of the space `everyday`; 1 to 1 000 000
+    /// Further random scenarios that accept or reject a round: so many of the paper's distribution and, with
+    /// `usefulness_draws` in the preset, of the spaces `traffic` and `everyday` each; 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     nominal: u64,

@@ -80,11 +80,11 @@ If the space states the driving time and distance of its episodes (see `crumple 
 per hour and per 1000 km, each with two intervals: one that treats the space as exact, and one with the uncertainty of \
 the data, from --resamples of the episodes (docs/fitting.md).
 
-With --drives the domain is a folder of recorded drives. The controller drives each once; crumple prints collisions \
-(with missing answers) and unnecessary braking, also that of the recorded cars, per hour and per 100 km, with exact \
-95 % intervals for independent events. A collision from behind with a vehicle that repeats recorded speeds counts \
-separately, and not against the controller. There is no certificate, because the drives are not drawn at random. A \
-folder may have 10 000 files and 64 MiB.
+With --drives the domain is a folder of recorded drives. The controller drives each once; crumple prints the sum of \
+collisions and missing answers, the unnecessary braking of the controller, and that of the recorded cars, each per \
+hour and per 100 km, with exact 95 % intervals for independent events. A collision from behind with a vehicle that \
+repeats recorded speeds counts separately, and not against the controller. There is no certificate, because the \
+drives are not drawn at random. A folder may have 10 000 files and 64 MiB.
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999

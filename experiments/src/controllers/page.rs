@@ -80,11 +80,11 @@ fn describe_drives(drives: &ImportedDrives) -> String {
     format!(
         "Unnecessary braking: number per hour in {} drives of {} recordings of OpenACC ({:.1} hours), and its 95 % \
          interval, which is exact for independent events. Square brackets: unnecessary braking per hour that the \
-         first number leaves out, because the same drive without the simulated follower has none. The controller \
-         brakes so because of the follower; `driver.md` counts this braking, too. The recorded cars: {}. Collisions: \
-         drives in which the vehicle hits its leader or the controller gives no answer / drives in which the follower \
-         hits the vehicle. This follower, `human`, starts at the gap of the recorded car; the collision may be due to \
-         it, and not to the controller.",
+         first number leaves out, because the same drive without the simulated follower has none. The follower causes \
+         this braking, so it does not count against the controller here; `driver.md` counts it. The recorded cars: \
+         {}. Collisions: drives in which the vehicle hits its leader or the controller gives no answer / drives in \
+         which the follower hits the vehicle. This follower, `human`, starts at the gap of the recorded car; the \
+         collision may be due to it, and not to the controller.",
         drives.set.drives().len(),
         drives.recordings,
         recorded.hours,

@@ -338,7 +338,7 @@ impl<'a, 'b> Replay<'a, 'b> {
             StoryAction::Speed(speed) => self.speed_change(speed, actor, start_s),
             StoryAction::SpeedProfile(profile) => {
                 if profile.is_loose {
-                    self.note_loose_motion(profile.node, "the speeds are those of the profile");
+                    self.note_loose_motion(profile.node, actor);
                 }
                 Ok(PlanChange::Profile(&profile.entries))
             }
@@ -356,10 +356,13 @@ impl<'a, 'b> Replay<'a, 'b> {
         }
     }
 
-    /// Notes how crumple moves an entity whose action has the following mode `follow`.
-    pub(super) fn note_loose_motion(&mut self, action: Node<'a>, motion: &str) {
-        let text = format!("the mode `follow` leaves the motion open: {motion}");
-        self.note_once(Some(action.note(&text)));
+    /// Notes how an entity without active controller moves if its action has the following mode `follow`.
+    pub(super) fn note_loose_motion(&mut self, action: Node<'a>, actor: usize) {
+        if !self.is_controlled(actor) {
+            let text =
+                "the mode `follow` leaves the motion open: the entity moves as with `position`";
+            self.note_once(Some(action.note(text)));
+        }
     }
 
     /// Remembers an action that the controller of an entity replaces.

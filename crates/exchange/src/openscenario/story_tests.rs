@@ -923,7 +923,13 @@ fn a_trajectory_in_the_mode_follow_has_a_note() {
     let vertices = [(0.0, 140.0, 0.0), (0.0, 400.0, 0.0)];
     let exact = with_initial_trajectory(&text, &vertices, "<None/>");
     let loose = exact.replace("followingMode=\"position\"", "followingMode=\"follow\"");
-    for (text, expected) in [(&exact, 0), (&loose, 1)] {
+    let declared = exact
+        .replace("followingMode=\"position\"", "followingMode=\"$mode\"")
+        .replace(
+            "</ParameterDeclarations>",
+            "<ParameterDeclaration name=\"mode\" parameterType=\"string\" value=\"follow\"/></ParameterDeclarations>",
+        );
+    for (text, expected) in [(&exact, 0), (&loose, 1), (&declared, 1)] {
         let (_, notes) = import(text).unwrap();
         let is_noted = |note: &&String| note.contains("`follow` leaves the motion open");
         assert_eq!(notes.iter().filter(is_noted).count(), expected, "{notes:?}");

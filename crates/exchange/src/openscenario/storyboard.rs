@@ -530,7 +530,7 @@ pub(super) fn read_profile<'a>(
     if node.raw("entityRef").is_some() {
         return Err(node.refuse("speeds relative to an entity are not supported"));
     }
-    node.expect("followingMode", &[POSITION_MODE, FOLLOW_MODE])?;
+    let is_loose = has_follow_mode(node)?;
     let entries = node.named("SpeedProfileEntry").map(|entry| {
         entry.only(&[], &["time", "speed"])?;
         Ok((entry.non_negative("time")?, entry.non_negative("speed")?))
@@ -538,6 +538,13 @@ pub(super) fn read_profile<'a>(
     Ok(StoryAction::SpeedProfile(SpeedProfileAction {
         node,
         entries: entries.collect::<Result<_>>()?,
-        is_loose: node.raw("followingMode") == Some(FOLLOW_MODE),
+        is_loose,
     }))
+}
+
+/// Returns whether the following mode of an element is `follow`, which leaves open how the entity moves.
+pub(super) fn has_follow_mode(node: Node<'_>) -> Result<bool> {
+    node.expect("followingMode", &[POSITION_MODE, FOLLOW_MODE])?;
+    let mode = node.optional_text("followingMode")?;
+    Ok(mode.as_deref() == Some(FOLLOW_MODE))
 }

@@ -10,10 +10,10 @@ use super::place::{PlacePurpose, resolve_place, tilt};
 use super::replay::Replay;
 use super::resolution::{grid_step_m, regular_times_s};
 use super::speed_plan::take_samples;
-use super::storyboard::StoryAction;
+use super::storyboard::{StoryAction, has_follow_mode};
 use super::trajectory::{self, PathVertex, rounding_m};
 use super::trigger::Firing;
-use super::vocabulary::{FOLLOW_MODE, POSITION_MODE, ReferenceContext, TransitionShape};
+use super::vocabulary::{ReferenceContext, TransitionShape};
 use super::xml::Node;
 use crumple_core::digits::{format_fixed, format_number};
 
@@ -68,9 +68,6 @@ pub(super) fn read_trajectory<'a>(
         return Err(node.refuse("initialDistanceOffset is not supported"));
     }
     let mode = node.optional("TrajectoryFollowingMode");
-    if let Some(mode) = mode {
-        mode.expect("followingMode", &[POSITION_MODE, FOLLOW_MODE])?;
-    }
     let polyline = read_polyline(node.optional("TrajectoryRef").unwrap_or(node))?;
     let timing = TrajectoryTiming::read(node.child("TimeReference")?.single()?)?;
     let mut vertices = read_vertices(polyline, timing.as_ref())?;
@@ -86,7 +83,7 @@ pub(super) fn read_trajectory<'a>(
         has_rounded_times,
         vertices,
         timing,
-        is_loose: mode.and_then(|mode| mode.raw("followingMode")) == Some(FOLLOW_MODE),
+        is_loose: mode.map(has_follow_mode).transpose()?.unwrap_or(false),
     }))
 }
 
@@ -240,8 +237,7 @@ impl<'a> Replay<'a, '_> {
         start_s: f64,
     ) -> Result<Vec<PathVertex>> {
         if action.is_loose {
-            let motion = "the positions are those of the trajectory";
-            self.note_loose_motion(action.node, motion);
+            self.note_loose_motion(action.node, actor);
         }
         take_samples(action.node, action.vertices.len(), &mut self.samples_left)?;
         let work = WORK_PER_VERTEX * action.vertices.len() as u64;

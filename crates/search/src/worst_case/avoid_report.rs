@@ -13,8 +13,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "whenever the follower's emergency brake fires, the search found no escape with a larger \
-    gap, with accelerations held for the time of --grid";
+const LARGEST_GAP: &str = "for every firing time of the follower's emergency brake, the search found no escape with a \
+    larger gap whose accelerations change only on the time grid";
 
 /// Report of an analysis of avoidability. Reading its JSON returns the same report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
