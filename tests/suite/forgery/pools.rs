@@ -466,10 +466,10 @@ fn the_committed_pools_are_accepted() {
         },
         CommittedPool {
             folder: "road-large",
-            seeds: 50,
-            runs: 5_000_000,
-            blocks: 50_000,
-            failures: 447_502,
+            seeds: 100,
+            runs: 20_000_000,
+            blocks: 100_000,
+            failures: 1_785_907,
             rerun_percent: 0.01,
         },
     ];
