@@ -104,8 +104,8 @@ pub(super) struct Retrain {
     #[arg(long, alias = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     validation_draws: u64,
-    /// Further random scenarios that accept or reject a round: so many of the paper's distribution and, with
-    /// `usefulness_draws` in the preset, of the spaces `traffic` and `everyday` each; 1 to 1 000 000
+    /// Further random scenarios that accept or reject a round: this number of the paper's distribution and, with
+    /// `usefulness_draws` in the preset, of each of the spaces `traffic` and `everyday`; 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal)]
     #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     nominal: u64,
