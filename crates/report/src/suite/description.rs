@@ -368,4 +368,26 @@ mod tests {
         assert_eq!(format_boundary(0.9989, 0.9951, 3), ["0.999", "0.995"]);
         assert_eq!(format_boundary(120.906, 120.955, 2), ["120.90", "120.96"]);
     }
+
+    #[test]
+    fn reference_drivers_are_grouped_by_their_behaviour() {
+        let run = |driver: &str, prevention| ReferenceRun {
+            driver: driver.to_owned(),
+            prevention,
+        };
+        let references = [
+            run("idm", Prevention::Prevents),
+            run("baseline", Prevention::Collides),
+            run("human", Prevention::DoesNotReact),
+            run("road", Prevention::Prevents),
+        ];
+        assert_eq!(
+            describe_references(&references),
+            "reference drivers that prevent it: idm, road; that collide: baseline; that do not react: human"
+        );
+        assert_eq!(
+            describe_references(&references[1..2]),
+            "reference drivers that collide: baseline"
+        );
+    }
 }
