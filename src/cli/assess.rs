@@ -75,7 +75,7 @@ pub(super) struct Assess {
     /// Gather all evidence again
     #[arg(long)]
     fresh: bool,
-    /// Output format: the first page as text, or the summary of assessment.json
+    /// Output format: result, changes and gates as text, or the field `summary` of assessment.json
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
 }

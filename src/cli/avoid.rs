@@ -32,8 +32,8 @@ other driver (idm, acc-aeb, a policy), crumple simulates some thousands of accel
 under test, with that driver in the loop, and the escape is the best of them. A proof of `unavoidable` then concerns \
 the collision with a scripted leader alone.
 
-At most 20 vehicles may be under test. Their number times the number of steps may be at most 50 000. The largest \
-undecided problem takes about two minutes.
+At most 20 vehicles may be under test. Their number times the number of steps may be at most 50 000. An \
+undecided problem of this size takes about two minutes.
 
 Examples:
   crumple avoid paper-1

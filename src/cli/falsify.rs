@@ -34,9 +34,9 @@ lists all files with their hashes: --resume refuses a folder with a truncated, e
 file among its results, and names the file. This does not protect against a person who changes the files and \
 `work.json` together.
 
---compare prints, for each method, the share of seeds with a failure (falsification rate), and the mean and median \
-number of simulations up to the first failure. Exact tests compare all pairs of methods on the same seeds (McNemar \
-and sign test, with the correction of Holm).
+--compare prints, for each method, the share of seeds with a failure (falsification rate), and, over these seeds, the \
+mean and median number of simulations up to the first failure. Exact tests compare all pairs of methods on the same \
+seeds (McNemar and sign test, with the correction of Holm).
 
 --spec also takes these names (docs/glossary.md defines the terms):
   - `no braking without cause`: no unnecessary braking
@@ -146,9 +146,9 @@ pub(super) struct Falsify {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum SearchExpectation {
-    /// At least one method found a failure
+    /// The method or a reference search found a failure
     Failure,
-    /// No method found a failure
+    /// None of them found a failure
     Nothing,
 }
 

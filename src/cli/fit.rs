@@ -28,7 +28,7 @@ use crumple_store::disk::StagedFiles;
 Reads the same recordings as `crumple import` and describes each braking episode by these parameters: the leader's \
 initial speed, its mean deceleration over its hardest second, the share of its speed that it keeps, and for each \
 follower its speed divided by that of the first vehicle, and its time gap. Each parameter gets the most likely of five \
-families (uniform, normal, log-normal, gamma, Weibull), truncated to the values that a scenario may have. Leaders that \
+families (uniform, normal, log-normal, gamma, Weibull), truncated to its range (docs/fitting.md). Leaders that \
 stop have a separate probability, and so do lorries if the recordings state lengths. A Gaussian copula models the \
 dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. Searches stay inside \
 the region with 99.99 % of the fitted distribution (`search_share` in the file; without it, they use the whole \

@@ -20,13 +20,13 @@ use crumple_sim::observation::EstimatorKind;
 #[derive(Args)]
 #[command(after_long_help = "\
 Reads the same recordings as `crumple import`. The controller takes the place of each vehicle that has a recorded \
-leader. It observes the recorded gaps, speeds and accelerations, and its commands change nothing. crumple lists the \
-20 hardest brakings that the controller would have begun (all with --format json), and the recorded driver's hardest \
-braking during each and the next second. Unnecessary braking is defined as in assessments (docs/glossary.md): more \
-than 2 m/s² harder than the vehicle ahead justifies. Rates have exact 95 % intervals of Poisson counts, which assume \
-that unnecessary brakings are independent. The gaps are those of the recorded driver. So replay does not show whether \
-the controller, by its own earlier braking, would have avoided a situation, or whether it brakes unnecessarily at the \
-gaps that it would keep.
+leader. It observes the recorded gaps, speeds and accelerations, and its commands change nothing. crumple lists the 20 \
+hardest brakings that the controller would have begun (all with --format json), and the recorded driver's hardest \
+braking from the start of each to 1 s after its end. Unnecessary braking is defined as in assessments \
+(docs/glossary.md): more than 2 m/s² harder than the vehicle ahead justifies. Rates have exact 95 % intervals of \
+Poisson counts, which assume that unnecessary brakings are independent. The gaps are those of the recorded driver. So \
+replay does not show whether the controller, by its own earlier braking, would have avoided a situation, or whether it \
+brakes unnecessarily at the gaps that it would keep.
 
 Examples:
   crumple replay platoon.csv --controller acc-aeb

@@ -40,16 +40,16 @@ none, of the paper's distribution and --space), and evaluates the best checkpoin
   - the policy is significantly worse in none of the --regression spaces: by collisions and, in spaces in which \
 `idm` has none of three faults (collision, hard unnecessary braking, falling behind), also by scenarios in which the \
 policy has one (McNemar's exact one-sided test on the same random scenarios, p below 0.01)
-  - with `usefulness_draws` in the preset, drives of `traffic` do not have more collisions, hard unnecessary braking \
-or vehicles that fall behind; rms jerk and rms acceleration exceed the larger value of the initial policy and of \
-`idm` by at most 1 % of that of `idm`; and the mean time gap is further outside 1.2 to 2.1 s than that of the initial \
-policy by at most 1 % of the nearer limit
+  - with `usefulness_draws` in the preset, drives of `traffic` have no more collisions, hard unnecessary braking or \
+vehicles that fall behind than before the round; rms jerk and rms acceleration exceed the larger value of the initial \
+policy and of `idm` by at most 1 % of that of `idm`; and the mean time gap is further outside 1.2 to 2.1 s than that \
+of the initial policy by at most 1 % of the nearer limit
   - with `usefulness_draws`, the number of drives of `everyday` in which the policy has a fault (collision, \
 unnecessary or hard unnecessary braking, falling behind) and `idm` has none does not increase, and the rms jerk there \
 has the same limit; with --drives, also in the recorded drives
   - with `usefulness_draws`, behind a leader that slows down and recovers, the last of five vehicles changes its speed \
 at most as much as the leader, or as with the policy before the round
-The retraining ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the \
+The retraining ends after --rounds, or when a round finds no avoidable collision, and then evaluates the result on the \
 test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \

@@ -92,8 +92,8 @@ pub(super) struct Simulate {
         value_parser = path_ending_in(["csv", "parquet"])
     )]
     trace: Option<PathBuf>,
-    /// Evaluate a specification and its robustness: `no collision`, or a formula of signal temporal logic; may be
-    /// repeated
+    /// Evaluate a specification and its robustness: a formula of signal temporal logic, or a name such as
+    /// `no collision` (docs/stl.md); may be repeated
     #[arg(long, value_name = "STL")]
     spec: Vec<String>,
     /// Also evaluate each part of the formulas over time; --plot draws the first twelve below the diagrams

@@ -45,14 +45,14 @@ crates/learn/src/rl/training.schema.json), with rewards (`[environment]` and `[e
 (docs/controllers.md).
 
 Every seed gets a folder `seed-N` with `policy.safetensors` (the best policy on the validation set, a controller for \
-every other command), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained in parallel; each gives the same \
-bytes for any number of threads, also after an interruption. `training.json` and `learning-curve.svg` describe all \
-finished seeds in the folder, which must have the same configuration; --resume with more --episodes continues a \
-finished training. Files are checked before work resumes (see crumple fsck). crumple refuses a training that needs \
-more than 4 GiB of memory for a seed, as estimated from its networks, batches, replay memory and validation set. The \
-exit code is 1 if a seed diverges or has no checkpoint better than the untrained network. crumple names such seeds, \
-writes no policy for a seed that learned nothing, and finishes the others. docs/training.md describes the fields of a \
-preset and the training.
+`simulate`, `assess` and others), `log.jsonl` and `checkpoint.safetensors`. Seeds are trained in parallel; each gives \
+the same bytes for any number of threads, also after an interruption. `training.json` and `learning-curve.svg` \
+describe all finished seeds in the folder, which must have the same configuration; --resume with more --episodes \
+continues a finished training. Files are checked before work resumes (see crumple fsck). crumple refuses a training \
+that needs more than 4 GiB of memory for a seed, as estimated from its networks, batches, replay memory and validation \
+set. The exit code is 1 if a seed diverges or has no checkpoint better than the untrained network. crumple names such \
+seeds, writes no policy for a seed that learned nothing, and finishes the others. docs/training.md describes the \
+fields of a preset and the training.
 
 Examples:
   crumple train --seed 7

@@ -25,10 +25,10 @@ The search simulates each candidate in the same random scenarios. It varies the 
 starts at the defaults, or in the middle of a range that excludes them. It minimises one number. For --objective both, \
 this is the sum of:
   - the weighted mean of the collision shares in the spaces of --space
-  - in the built-in space `traffic`, the shares of drives with a collision, with hard unnecessary braking (above 4 \
+  - in the built-in space `traffic`, the shares of scenarios with a collision, with hard unnecessary braking (above 4 \
 m/s2 where less than 3 m/s2 was justified), and in which the vehicle falls behind
-  - in the built-in space `everyday`, of all drives, the share in which the candidate has one of these faults or \
-brakes unnecessarily, while `idm` does not
+  - in the built-in space `everyday`, the share of scenarios in which the candidate has one of these faults or brakes \
+unnecessarily, and `idm` does none of this
   - with --drives, the same share of the recorded drives. A collision with a vehicle behind that repeats its recorded \
 speeds does not count, because that vehicle does not react
   - in `traffic`, half the relative excess of rms acceleration over 1.2 times that of `idm`, and the same of rms jerk

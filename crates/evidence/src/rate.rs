@@ -434,6 +434,15 @@ impl RatePlan {
         Ok(counted.pop().unwrap_or_default())
     }
 
+    /// Registers another release as the one that counts, to repeat its runs.
+    pub(super) fn with_counting_release(mut self, release: &str) -> Self {
+        self.record
+            .registration
+            .configuration
+            .insert("crumple".to_owned(), release.to_owned());
+        self
+    }
+
     /// Returns the registration with another seed.
     pub(super) fn registration_of_seed(&self, seed: u64) -> Registration {
         let mut registration = self.registration().clone();

@@ -34,15 +34,17 @@ pub enum RerunError {
     /// The certificate has no counts.
     #[error("a certificate of kind `{0}` counts no runs")]
     NothingCounted(&'static str),
-    /// Another release made the counts.
+    /// Another release made the counts, and this one does not get them.
     #[error(
-        "`registration.configuration.crumple` is {counting_release}, and this release is {}: use the release that \
-         made the counts",
+        "{difference}; `registration.configuration.crumple` is {counting_release}, and this release is {}: only the \
+         release that made the counts can refute them",
         env!("CARGO_PKG_VERSION")
     )]
     OtherRelease {
         /// Release that made the counts.
         counting_release: String,
+        /// Difference between this release and the certificate.
+        difference: String,
     },
     /// The certificate is of version 1, without space and hashes.
     #[error(
@@ -170,19 +172,13 @@ impl StatedCount {
     }
 }
 
-/// Rebuilds the plan of a registration of this release.
+/// Rebuilds the plan of a registration.
 fn rebuild_plan(
     certificate: &Certificate,
     registration: &Registration,
     given: &[NamedController],
     opener: Controllers,
 ) -> Result<RatePlan, RerunError> {
-    let release = configuration_value(registration, "crumple");
-    if release != env!("CARGO_PKG_VERSION") {
-        return Err(RerunError::OtherRelease {
-            counting_release: release.escape_debug().to_string(),
-        });
-    }
     let controllers = match binding::built_in_controllers(registration) {
         Some(controllers) => controllers,
         None => {
@@ -193,12 +189,13 @@ fn rebuild_plan(
         }
     };
     let space = binding::read_space(certificate, opener)?;
-    Ok(binding::rebuild_plan(space, registration, controllers)?)
+    let plan = binding::rebuild_plan(space, registration, controllers)?;
+    Ok(plan.with_counting_release(configuration_value(registration, "crumple")))
 }
 
 impl Rerun {
     /// Prepares a confirmation. Controllers that are not built in must be in `given`. `opener` opens the drivers that
-    /// the space names as files.
+    /// the space names as files. Another release may have made the counts.
     ///
     /// # Errors
     /// [`RerunError`] if the counts cannot be repeated.
@@ -229,10 +226,22 @@ impl Rerun {
         let is_of_plan = self.plan.registration_of_seed(count.seed) == *registration
             && self.plan.block_count() == count.blocks.len() as u64;
         if !is_of_plan {
-            return Err(RerunError::OtherRegistration);
+            return Err(self.difference(RerunError::OtherRegistration));
         }
         self.counts.push(count);
         Ok(())
+    }
+
+    /// Returns the error for a difference: another release may simulate other runs, which refutes nothing.
+    fn difference(&self, error: RerunError) -> RerunError {
+        let release = configuration_value(self.plan.registration(), "crumple");
+        if release == env!("CARGO_PKG_VERSION") {
+            return error;
+        }
+        RerunError::OtherRelease {
+            counting_release: release.escape_debug().to_string(),
+            difference: error.to_string(),
+        }
     }
 
     fn block_count(&self) -> u64 {
@@ -266,8 +275,8 @@ impl Rerun {
     /// Counts a sample again.
     ///
     /// # Errors
-    /// [`RerunError::Refuted`] names the first differing block of the sample; [`RerunError::Stopped`] if `observer`
-    /// stops.
+    /// [`RerunError::Refuted`] names the first differing block of the sample, and [`RerunError::OtherRelease`] too, if
+    /// another release made the counts; [`RerunError::Stopped`] if `observer` stops.
     pub fn confirm(
         &self,
         sample: BlockSelection,
@@ -309,13 +318,13 @@ impl Rerun {
             return Ok(());
         };
         let runs = self.plan.run_range(index);
-        Err(RerunError::Refuted {
+        Err(self.difference(RerunError::Refuted {
             seed: (self.counts.len() > 1).then_some(count.seed),
             block: index,
             first: runs.start,
             last: runs.end.saturating_sub(1),
             problem,
-        })
+        }))
     }
 
     /// Describes how stated counts of a block differ from new ones; `None` if they are equal.
@@ -391,4 +400,60 @@ fn find_given(
         name: configuration_value(registration, role).to_owned(),
         source: controller.source.clone(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::rate_plan;
+    use crumple_core::observer::Quiet;
+    use crumple_verify::Statement;
+
+    fn count_as(release: &str) -> Certificate {
+        let plan = rate_plan("baseline", None, ("high-risk", 200), (3, 0.9));
+        let plan = plan.with_counting_release(release);
+        let folder = tempfile::tempdir().unwrap();
+        plan.run(folder.path(), false, &Quiet)
+            .unwrap()
+            .certificate
+            .unwrap()
+    }
+
+    fn confirm(certificate: &Certificate) -> Result<Confirmation, RerunError> {
+        Rerun::new(certificate, &[], Controllers::default())?.confirm(BlockSelection::All, &Quiet)
+    }
+
+    fn registration(certificate: &mut Certificate) -> &mut Registration {
+        match &mut certificate.statement {
+            Statement::Rate(claim) => &mut claim.registration,
+            other => panic!("{}", other.name()),
+        }
+    }
+
+    #[test]
+    fn counts_of_another_release_are_confirmed_but_never_refuted() {
+        let genuine = count_as("0.0.1");
+        assert!(confirm(&genuine).unwrap().is_complete());
+        let mut changed = genuine.clone();
+        let release = "0.0.2".to_owned();
+        registration(&mut changed)
+            .configuration
+            .insert("crumple".to_owned(), release);
+        let error = confirm(&changed).unwrap_err();
+        assert!(
+            matches!(&error, RerunError::OtherRelease { counting_release, .. } if counting_release == "0.0.2")
+        );
+        let mut changed = genuine;
+        registration(&mut changed).confidence = 0.8;
+        assert!(matches!(
+            confirm(&changed),
+            Err(RerunError::OtherRelease { .. })
+        ));
+        let mut changed = count_as(env!("CARGO_PKG_VERSION"));
+        let Statement::Rate(claim) = &mut changed.statement else {
+            panic!("a rate was counted");
+        };
+        claim.blocks[0].0 -= 1;
+        assert!(matches!(confirm(&changed), Err(RerunError::Refuted { .. })));
+    }
 }

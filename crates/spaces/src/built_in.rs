@@ -17,7 +17,7 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 9] = [
     ),
     (
         "high-risk",
-        "whole ranges of speeds, gaps, leader braking, load and friction; baseline drives the follower",
+        "wide ranges of speeds, gaps, leader braking, friction and follower's load; baseline drives the follower",
         HIGH_RISK,
     ),
     (

@@ -64,7 +64,7 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
             report["escape_is_best_for"]
                 .as_str()
                 .unwrap()
-                .contains("whose accelerations change only on the time grid"),
+                .contains("which hold accelerations over the steps of a time grid"),
             "{report}"
         );
         kept_m

@@ -13,8 +13,8 @@ use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
 /// Optimality of an escape of the programs.
-const LARGEST_GAP: &str = "for every firing time of the follower's emergency brake, the search found no escape with a \
-    larger gap whose accelerations change only on the time grid";
+const LARGEST_GAP: &str = "no escape with a larger gap was found by the convex programs, which hold accelerations over \
+    the steps of a time grid (--grid)";
 
 /// Report of an analysis of avoidability. Reading its JSON returns the same report.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

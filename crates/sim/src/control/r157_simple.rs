@@ -31,7 +31,7 @@ pub struct R157Simple {
 impl BuiltIn for R157Simple {
     const NAME: &'static str = "r157-simple";
     const SUMMARY: &'static str =
-        "reference driver of UN R157: brakes at 6 m/s² from 0.35 s after a danger occurs";
+        "reference driver of UN R157: 6 m/s² from 0.35 s after the leader brakes or is too near";
     const ROLE: Role = Role::Reference;
     type Settings = R157SimpleSettings;
     type Driver = Self;

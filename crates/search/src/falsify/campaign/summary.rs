@@ -130,15 +130,17 @@ impl ConfirmationSummary {
         }
     }
 
-    /// Describes each share that is present, as a noun phrase.
+    /// Describes each share that is present. A search selects its failures, so the interval of a share means nothing
+    /// to a reader who does not know how.
     pub fn describe(&self) -> impl Iterator<Item = String> {
         let shares = [
-            (self.failures, "failures survive"),
+            (self.failures, "failures fail, too"),
             (self.escapes, "escapes have no collision"),
         ];
-        shares
-            .into_iter()
-            .filter_map(|(share, what)| Some(share?.describe(what)))
+        shares.into_iter().filter_map(|(share, what)| {
+            let ReplayShare { count, replays, .. } = share?;
+            Some(format!("{count} of {replays} {what}"))
+        })
     }
 }
 
