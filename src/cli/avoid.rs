@@ -22,15 +22,15 @@ use crumple_store::disk::StagedFiles;
 The vehicles under test may accelerate and brake freely within their limits and know the future; all other vehicles \
 keep their drivers. `avoidable` comes with an escape: accelerations, held over steps of --grid, whose replay has no \
 collision at the scenario's step and at a tenth of it. The search looks for the escape with the largest smallest gap; \
-a finer grid may find a larger one. crumple also prints an upper bound of this gap, which no driver exceeds; \
---bound-certificate proves it. `unavoidable` comes with a proof about every possible driver, which the checker of \
-`crumple check` accepted. Every other result is `undecided`, with the reason.
+a finer grid may find a larger one. Often, crumple also prints an upper bound of this gap, which no driver exceeds; \
+--bound-certificate writes its proof, if there is one. `unavoidable` comes with a proof about every possible driver, \
+which the checker of `crumple check` accepted. Every other result is `undecided`, with the reason.
 
 The search and the proof solve convex programs. These model only a scripted leader, and a follower that drives \
 `baseline` (which holds its speed, and brakes to standstill once its emergency brake has fired) without lag. With any \
-other driver (idm, acc-aeb, a policy), crumple simulates some thousands of acceleration profiles of the vehicles \
-under test, with that driver in the loop, and the escape is the best of them. A proof of `unavoidable` then concerns \
-the collision with a scripted leader alone.
+other driver (idm, acc-aeb, a policy), crumple simulates some thousands of acceleration profiles of the vehicles under \
+test, with that driver in the loop, and the escape is the best of them, without a certificate. A proof of \
+`unavoidable` then concerns the collision with a scripted leader alone.
 
 At most 20 vehicles may be under test. Their number times the number of steps may be at most 50 000. An \
 undecided problem of this size takes about two minutes.
@@ -49,8 +49,8 @@ pub(super) struct Avoid {
     /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
-    /// If there is an escape, write a certificate of the printed upper bound of the smallest gap, which no driver
-    /// exceeds; replaces an existing file
+    /// If there is an escape, and the printed upper bound of its smallest gap is `proved`, write a certificate of this
+    /// bound; replaces an existing file
     #[arg(long, value_name = "F.json")]
     bound_certificate: Option<PathBuf>,
     #[command(flatten)]

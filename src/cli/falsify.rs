@@ -41,8 +41,8 @@ seeds (McNemar and sign test, with the correction of Holm).
 --spec also takes these names (docs/glossary.md defines the terms):
   - `no braking without cause`: no unnecessary braking
   - `imposed braking at most 4 m/s2`: the follower brakes by at most 4 m/s²
-  - `no amplification`: if all vehicles have the same initial speed, the vehicle's largest change of speed is at most \
-that of its leader
+  - `no amplification`: each vehicle under test changes its speed by at most as much as its leader; this always holds \
+if the initial speeds differ
 With --against, both controllers drive each scenario. The robustness is max(r, -p), with r of --controller and p of \
 --against: negative if only --controller fails.
 

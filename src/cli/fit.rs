@@ -28,12 +28,12 @@ use crumple_store::disk::StagedFiles;
 Reads the same recordings as `crumple import` and describes each braking episode by these parameters: the leader's \
 initial speed, its mean deceleration over its hardest second, the share of its speed that it keeps, and for each \
 follower its speed divided by that of the first vehicle, and its time gap. Each parameter gets the most likely of five \
-families (uniform, normal, log-normal, gamma, Weibull), truncated to its range (docs/fitting.md). Leaders that \
-stop have a separate probability, and so do lorries if the recordings state lengths. A Gaussian copula models the \
+families (uniform, normal, log-normal, gamma, Weibull), truncated to its range (docs/fitting.md). Leaders that stop \
+have a separate probability, and so do lorries if the recordings state lengths. A Gaussian copula models the \
 dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. Searches stay inside \
 the region with 99.99 % of the fitted distribution (`search_share` in the file; without it, they use the whole \
-ranges). The file also states the driving time and distance of the recordings, so that failures can be given per hour \
-and per 1000 km, and the parameters of the episodes, so that they can be resampled (docs/fitting.md).
+ranges). The file also states the time and distance of following in the recordings, so that failures can be given per \
+hour and per 1000 km, and the parameters of the episodes, so that they can be resampled (docs/fitting.md).
 
 The fit requires 4 episodes for each parameter: 20 with two vehicles, 8 more for each further vehicle, and 4 more \
 for each vehicle that is a car in some episodes and a lorry in others. At most 1000 recordings and 10 000 episodes.

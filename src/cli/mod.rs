@@ -68,8 +68,8 @@ const EXIT_CODES: &str = "\
 Exit codes:
   0    done
   1    the result is negative: a gate of an assessment failed, --expect not met, certificate
-       rejected, nothing verified, no episode found, training or retraining without a
-       better policy, files damaged
+       rejected, nothing verified, no braking episode found, training or retraining
+       without a better policy, files damaged
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";

@@ -76,11 +76,11 @@ scenario files of about 200 failures, and DIR/rare-failures.json the probability
 sample of the failures. The pilot and every repetition are written to DIR as they end; --resume continues an \
 interrupted estimate, to the same bytes.
 
-If the space states the driving time and distance of its episodes (see `crumple fit`), crumple also prints failures \
-per hour and per 1000 km, each with two intervals: one that treats the space as exact, and one with the uncertainty of \
-the data, from --resamples of the episodes (docs/fitting.md).
+If the space states the time and distance of following in its recordings (see `crumple fit`), crumple also prints \
+failures per hour and per 1000 km, each with two intervals: one that treats the space as exact, and one with the \
+uncertainty of the data, from --resamples of the episodes (docs/fitting.md).
 
-With --drives the domain is a folder of recorded drives. The controller drives each once; crumple prints the sum of \
+With --drives, the controller drives each recorded drive of a folder once; crumple prints the sum of \
 collisions and missing answers, the unnecessary braking of the controller, and that of the recorded cars, each per \
 hour and per 100 km, with exact 95 % intervals for independent events. A collision from behind with a vehicle that \
 repeats recorded speeds counts separately, and not against the controller. There is no certificate, because the \
@@ -143,7 +143,7 @@ struct RateCommand {
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
     /// In a scenario space fitted to episodes: resamples of the episodes, with a new fit for each: 0 (none) or 79 to
-    /// 2000 [default: 200, with --rare 80, each with an estimate of 100 samples and 5 repetitions, about 20 000 runs]
+    /// 2000 [default: 200, with --rare 80, each of which takes about 20 000 runs: 100 samples, 5 repetitions]
     #[arg(long, value_name = "N", value_parser = exposure::parse_resamples)]
     resamples: Option<u32>,
     /// Runs in each resample, without --rare: 50 to 100 000 [default: 500]

@@ -37,7 +37,7 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 9] = [
     ),
     (
         "slower",
-        "a vehicle ahead at a tenth to nine tenths of the speed, 2 to 12 s away",
+        "a vehicle ahead at 0.1 to 0.9 times the speed, time to collision 2 to 12 s",
         SLOWER,
     ),
     (

@@ -325,7 +325,7 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
         1,
         &[
             "\n  vehicle 1 brakes unnecessarily for ",
-            " was necessary\n",
+            " was justified\n",
         ],
     );
 

@@ -159,13 +159,19 @@ impl RunReport<'_> {
     }
 
     fn shield_lines(&self) -> impl Iterator<Item = String> {
-        let outside = if self.has_two_sided_shield {
-            "at least once it had no plan for the level to keep (setting `level`)"
+        let words = if self.has_two_sided_shield {
+            ShieldWords {
+                intervened: "replaced commands",
+                outside: "at least once it had no plan for the level to keep (setting `level`)",
+            }
         } else {
-            "the state was outside the safety kernel"
+            ShieldWords {
+                intervened: "braked",
+                outside: "the state was outside the safety kernel",
+            }
         };
         (0..self.vehicles.len())
-            .filter_map(move |index| shield_line(self.interventions, index, outside))
+            .filter_map(move |index| shield_line(self.interventions, index, words))
     }
 
     fn vehicle_lines(&self) -> Vec<String> {
@@ -241,7 +247,7 @@ impl UnnecessaryBrakingReport {
         } = self.braking.hardest?;
         Some(format!(
             "vehicle {} brakes unnecessarily for {:.2} s, hardest at {time_s:.2} s: {brake_mps2:.1} m/s² where \
-             {justified_mps2:.1} was necessary",
+             {justified_mps2:.1} was justified",
             self.vehicle, self.braking.time_s
         ))
     }
@@ -278,15 +284,26 @@ fn describe_driver(driver: &Driver, controller: &str) -> String {
     }
 }
 
-/// Summarises the interventions of a vehicle's shield in one line, with a text for those outside its guarantee; `None`
-/// without interventions.
-fn shield_line(interventions: &[Intervention], vehicle: usize, outside: &str) -> Option<String> {
+/// Words for a kind of shield.
+#[derive(Clone, Copy)]
+struct ShieldWords {
+    intervened: &'static str,
+    /// Description of a state outside the set that the shield keeps.
+    outside: &'static str,
+}
+
+/// Summarises the interventions of a vehicle's shield in one line; `None` without interventions.
+fn shield_line(
+    interventions: &[Intervention],
+    vehicle: usize,
+    words: ShieldWords,
+) -> Option<String> {
     let own: Vec<_> = interventions
         .iter()
         .filter(|intervention| intervention.vehicle == vehicle)
         .collect();
     let first_s = own.first()?.from_s;
-    let braked_s: f64 = own
+    let intervened_s: f64 = own
         .iter()
         .map(|intervention| intervention.to_s - intervention.from_s)
         .sum();
@@ -295,7 +312,7 @@ fn shield_line(interventions: &[Intervention], vehicle: usize, outside: &str) ->
         count => format!("{count} times"),
     };
     let outside = if own.iter().any(|intervention| intervention.outside_kernel) {
-        format!("; {outside}")
+        format!("; {}", words.outside)
     } else {
         String::new()
     };
@@ -309,8 +326,9 @@ fn shield_line(interventions: &[Intervention], vehicle: usize, outside: &str) ->
         all if all == own.len() => format!("; while it braked, {no_safe_command}"),
         some => format!("; in {some} of these, {no_safe_command}"),
     };
+    let intervened = words.intervened;
     Some(format!(
-        "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} \
+        "  the shield of vehicle {vehicle} {intervened} {times}, {intervened_s:.2} s in all, first at {first_s:.2} \
          s{outside}{rear}"
     ))
 }

@@ -143,8 +143,8 @@ impl Method {
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
             Self::Auto => {
-                "several methods that share the budget: inputs with few, often extreme values, CMA-ES, bisection \
-                 between different outcomes, hill climbs, and sequential convex programs"
+                "several methods that share the budget: random points with few, often extreme values of each signal; \
+                 CMA-ES; bisection between different outcomes; hill climbs; sequential convex programs"
             }
             Self::Custom(_) => "a method of the program that uses the library",
         }

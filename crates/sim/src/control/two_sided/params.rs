@@ -31,7 +31,7 @@ pub const CREEP_SPEED_MPS: f64 = 0.5;
 /// A class of followers: all that behave as described, and no others.
 ///
 /// From the trigger on a follower brakes within `reaction_s` at `brake_mps2` or more. Before that, its acceleration is
-/// within `drift_mps2` of 0; after the trigger, only the upper limit counts.
+/// within `drift_mps2` of 0; after the trigger, and in the second class, only the upper limit counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FollowerClass {
     /// Event that makes the follower brake.

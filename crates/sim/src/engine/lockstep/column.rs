@@ -255,7 +255,11 @@ impl<'a> VehicleColumn<'a> {
                 ..view
             };
             let estimators = &mut self.estimators;
-            self.drivers.perceive(|run| view.observation(run));
+            self.drivers.perceive(
+                runs,
+                #[inline(always)]
+                |run| view.observation(run),
+            );
             self.drivers.command(
                 arch,
                 span_s,
@@ -265,9 +269,12 @@ impl<'a> VehicleColumn<'a> {
                         position_m: own.position_m[run],
                         observation: measured.observation(run),
                     };
-                    estimators[run]
-                        .observe(&truth)
-                        .hiding_follower(hides_follower.contains(run))
+                    let mut observation = estimators[run].observe(&truth);
+                    // In place: a copy of the observation takes as long as a fifth of the filter.
+                    if hides_follower.contains(run) {
+                        observation.behind = None;
+                    }
+                    observation
                 },
                 commands_mps2,
                 &mut failed,

@@ -96,16 +96,18 @@ macro_rules! define {
                 }
             }
 
-            /// Shows each run's true state to its driver, before it decides on an estimate.
-            #[inline]
-            pub(super) fn perceive(&mut self, truth: impl Fn(usize) -> Observation) {
+            /// Shows the true state of each of `runs` runs to its driver, before it decides on an estimate. Inlined: a
+            /// caller whose arrays have `runs` entries needs no bounds checks, and nothing remains of the loop for
+            /// drivers that do not look.
+            #[inline(always)]
+            pub(super) fn perceive(&mut self, runs: usize, truth: impl Fn(usize) -> Observation) {
                 match self {
                     Self::Profile(_) | Self::Followers(_) => {}
-                    $(Self::$rule(all) => perceive_all(all, truth),)*
-                    Self::Policy(all) => perceive_all(all, truth),
-                    Self::Other(all) => perceive_all(all, truth),
+                    $(Self::$rule(all) => perceive_all(all, runs, truth),)*
+                    Self::Policy(all) => perceive_all(all, runs, truth),
+                    Self::Other(all) => perceive_all(all, runs, truth),
                     Self::Mixed(drivers) => {
-                        for (run, driver) in drivers.iter_mut().enumerate() {
+                        for (run, driver) in drivers.iter_mut().enumerate().take(runs) {
                             if let VehicleController::Controller(controller) = driver {
                                 controller.perceive(&truth(run));
                             }
@@ -130,8 +132,8 @@ macro_rules! define {
 with_controllers!(define);
 
 #[inline(always)]
-fn perceive_all<C: Controller>(all: &mut [C], truth: impl Fn(usize) -> Observation) {
-    for (run, controller) in all.iter_mut().enumerate() {
+fn perceive_all<C: Controller>(all: &mut [C], runs: usize, truth: impl Fn(usize) -> Observation) {
+    for (run, controller) in all.iter_mut().enumerate().take(runs) {
         controller.perceive(&truth(run));
     }
 }
