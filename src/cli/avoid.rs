@@ -26,8 +26,8 @@ a finer grid may find a larger one. Often, crumple also prints an upper bound of
 --bound-certificate writes its proof, if there is one. `unavoidable` comes with a proof about every possible driver, \
 which the checker of `crumple check` accepted. Every other result is `undecided`, with the reason.
 
-The search and the proof solve convex programs. These model only a scripted leader, and a follower that drives \
-`baseline` (which holds its speed, and brakes to standstill once its emergency brake has fired) without lag. With any \
+The search and the proof solve convex programs. These model only a scripted leader, and a follower without lag that \
+`baseline` drives (it holds its speed, and brakes to standstill once its emergency brake has fired). With any \
 other driver (idm, acc-aeb, a policy), crumple simulates some thousands of acceleration profiles of the vehicles under \
 test, with that driver in the loop, and the escape is the best of them, without a certificate. A proof of \
 `unavoidable` then concerns the collision with a scripted leader alone.

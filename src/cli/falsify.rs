@@ -42,7 +42,7 @@ seeds (McNemar and sign test, with the correction of Holm).
   - `no braking without cause`: no unnecessary braking
   - `imposed braking at most 4 m/s2`: the follower brakes by at most 4 m/s²
   - `no amplification`: each vehicle under test changes its speed by at most as much as its leader; this always holds \
-if the initial speeds differ
+if an initial speed differs from the first vehicle's by more than 0.5 m/s
 With --against, both controllers drive each scenario. The robustness is max(r, -p), with r of --controller and p of \
 --against: negative if only --controller fails.
 

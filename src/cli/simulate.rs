@@ -46,8 +46,8 @@ second run has neither a collision nor unnecessary braking, a vehicle behind cau
 accepts the scenario. In scenarios with lane changes all unnecessary braking counts.
 
 A scenario file may have 8 MiB of JSON or 3 MiB of TOML, 1000 vehicles, and 5 million vehicle-steps, whose trace takes \
-120 MB. A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, operators and their precedence); a \
-policy file 256 MiB, a network 64 MiB.
+120 MB of memory (about 300 MB as CSV). A formula may have 4000 tokens, nested 64 deep (docs/stl.md has signals, \
+operators and their precedence); a policy file 256 MiB, a network 64 MiB.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
@@ -105,7 +105,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "SETTINGS", num_args = 0..=1, require_equals = true, default_missing_value = "")]
     #[arg(value_parser = TwoSidedSettings::parse_for_levels)]
     level: Option<TwoSidedSettings>,
-    /// With a folder of scenario files: print the full text of each scenario instead of one line
+    /// With a folder of scenario files: print the full result of each scenario instead of one line
     #[arg(long)]
     details: bool,
     /// Exit with 1 unless every scenario ends like this

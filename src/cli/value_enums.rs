@@ -30,8 +30,8 @@ const AFTER_COLLISION: &[ArgValue<AfterCollision>] = &[
     (
         AfterCollision::Continue,
         "continue",
-        "Both vehicles move on as one body, at the common speed that conserves momentum. Their \
-         controllers continue, and later collisions are counted",
+        "Both vehicles move on as one body, at the common speed that conserves momentum, under the \
+         sum of the forces that their controllers command; later collisions are counted",
     ),
     (
         AfterCollision::Hold,

@@ -407,6 +407,7 @@ mod tests {
     use super::*;
     use crate::fixtures::rate_plan;
     use crumple_core::observer::Quiet;
+    use crumple_store::study::Study;
     use crumple_verify::Statement;
 
     fn count_as(release: &str) -> Certificate {

@@ -212,7 +212,8 @@ def cover(combinations_of_all, wanted):
               if set().union(*(held[one] for one in chosen)) == wanted)
     first = next(covers)
     shortest = min([first, *itertools.takewhile(lambda chosen: len(chosen) == len(first), covers)], key=length)
-    return sorted(shortest, key=lambda conjunction: [value is None for value in conjunction])
+    return sorted(shortest, key=lambda conjunction: (len(conjunction) - conjunction.count(None),
+                                                     [value is None for value in conjunction]))
 
 
 def in_words(conjunctions, start):

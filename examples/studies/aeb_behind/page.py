@@ -258,9 +258,10 @@ COMBINATIONS combinations of three assumptions:
 
 Other answers name combinations whose intervals lie on one side of 0 (question 12: of +20 %). Other combinations are
 undecided. Values per 100 emergencies (injuries: per 1000) are the smallest and largest of all combinations, runs and
-estimators; brackets: all intervals, jointly 95 % for COMPARISONS comparisons of EMERGENCIES emergencies each.
-Combinations share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may change answers.
-[Systems](#systems) defines brakes and lead-vehicle tests. *It* is the car under test, *people* are drivers."""
+estimators; brackets those of interval ends (jointly 95 % in each run: COMPARISONS comparisons of EMERGENCIES
+emergencies). Combinations share emergencies: they confirm each other little. [Other assumptions](#sensitivity) may
+change answers. [Systems](#systems) defines brakes and lead-vehicle tests. *It*: the car under test, *people*:
+drivers."""
 
 
 def sizes(runs):

@@ -307,9 +307,9 @@ fn shield_line(
         .iter()
         .map(|intervention| intervention.to_s - intervention.from_s)
         .sum();
-    let times = match own.len() {
-        1 => "once".to_owned(),
-        count => format!("{count} times"),
+    let periods = match own.len() {
+        1 => "1 period".to_owned(),
+        count => format!("{count} periods"),
     };
     let outside = if own.iter().any(|intervention| intervention.outside_kernel) {
         format!("; {}", words.outside)
@@ -328,7 +328,7 @@ fn shield_line(
     };
     let intervened = words.intervened;
     Some(format!(
-        "  the shield of vehicle {vehicle} {intervened} {times}, {intervened_s:.2} s in all, first at {first_s:.2} \
-         s{outside}{rear}"
+        "  the shield of vehicle {vehicle} {intervened} in {periods}, {intervened_s:.2} s in all, first at \
+         {first_s:.2} s{outside}{rear}"
     ))
 }

@@ -27,8 +27,8 @@ pub struct ControllerPreset {
 
 /// Conditions of the tests with which the models of cars were compared.
 const CAR_DOMAIN: Option<&str> = Some(
-    "compared with tests at 50 to 80 km/h, closing in by at most 60 km/h, on a dry road, without braking by the \
-     driver and without a vehicle behind; other results are extrapolations",
+    "the model was compared with track tests of the car at 50 to 80 km/h, closing in by at most 60 km/h, on a dry \
+     road, without braking by the driver and without a vehicle behind; other results are extrapolations",
 );
 
 const fn emergency_brake(ttc_s: f64, standing_miss_share: f64) -> BuiltInController {

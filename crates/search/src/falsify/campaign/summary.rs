@@ -8,7 +8,7 @@ use super::{CampaignError, SearchObjective};
 use crate::StudySubject;
 use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
-use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
+use crate::falsify::counterexample::{AvoidabilityClass, Counterexample, name_braking_ego};
 use crumple_core::digits::format_or_hyphen;
 use crumple_core::non_finite;
 use crumple_core::quoting::TerminalText;
@@ -440,7 +440,7 @@ impl CampaignSummary {
                 out,
                 "  {:>9} x  {}  [{}]",
                 kind.count,
-                kind.kind,
+                name_braking_ego(&kind.kind),
                 firsts.join(", ")
             )?;
             if let Some(reason) = &kind.reason {

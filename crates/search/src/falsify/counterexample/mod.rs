@@ -142,6 +142,15 @@ impl fmt::Display for ChangedParameter {
     }
 }
 
+/// Returns the description of a kind for readers: in files, that of a vehicle under test which hits its leader does not
+/// say which of the two brakes.
+pub(in crate::falsify) fn name_braking_ego(kind: &str) -> String {
+    match kind.starts_with("ego ") {
+        true => kind.replacen(", ", ", the ego ", 1),
+        false => kind.to_owned(),
+    }
+}
+
 impl Counterexample {
     /// Writes a description for readers; `of_formula` is true if a formula is violated. `count` is the number of
     /// distinct failures.
@@ -156,7 +165,7 @@ impl Counterexample {
             out,
             "  {}\n      {}: {}{fragile}",
             self.file,
-            self.kind,
+            name_braking_ego(&self.kind),
             self.describe_severity(of_formula)
         )?;
         writeln!(
