@@ -27,12 +27,12 @@ a finer grid may find a larger one. Often, crumple also prints an upper bound of
 which the checker of `crumple check` accepted. Every other result is `undecided`, with the reason.
 
 The search and the proof solve convex programs. These model only a scripted leader, and a follower without lag that \
-`baseline` drives (it holds its speed, and brakes to standstill once its emergency brake has fired). With any \
-other driver (idm, acc-aeb, a policy), crumple simulates some thousands of acceleration profiles of the vehicles under \
-test, with that driver in the loop, and the escape is the best of them, without a certificate. A proof of \
-`unavoidable` then concerns the collision with a scripted leader alone.
+`baseline` drives (it holds its speed, and brakes to standstill once its emergency brake has fired). With any other \
+driver (idm, acc-aeb, a policy, or `baseline` with lag), crumple simulates some thousands of acceleration profiles of \
+the vehicles under test, with that driver in the loop, and the escape is the best of them, without a certificate. A \
+proof of `unavoidable` then concerns the collision with a scripted leader alone.
 
-At most 20 vehicles may be under test. Their number times the number of steps may be at most 50 000. An \
+At most 20 vehicles may be under test. Their number times the scenario's number of steps may be at most 50 000. An \
 undecided problem of this size takes about two minutes.
 
 Examples:

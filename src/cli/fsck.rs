@@ -24,8 +24,8 @@ Damaged work cannot be resumed; start again with a new --out. The same seed give
 `training.json` and the learning curves, which every `train` writes again. A report of `crumple assess` has a \
 `work.json`, too. Its folder `evidence` has none: `assess` checks these files when it uses them again. To write a \
 damaged report again, move changed files away and run the same command again.
-The exit code is 1 if a file is damaged, or if another file lies in a subfolder of the results (not of a report) or \
-has the name of a result that is still to be written. Other files are only named.
+The exit code is 1 if a file is damaged, or if a file that does not belong to the results lies in one of their \
+subfolders (not of a report) or has the name of a result still to be written. Elsewhere, such files are only named.
 
 `fsck` detects files that were truncated, edited, moved or lost. It does not detect changes by a person who also \
 rewrote `work.json`.

@@ -37,9 +37,9 @@ none, of the paper's distribution and --space), and evaluates the best checkpoin
 (`road`), the policy imitates the expert in these scenarios. crumple accepts the checkpoint only if
   - no scenario of the paper, and none of the --nominal random ones of its distribution, has a new collision
   - collisions on the validation set do not increase, and they decrease there or in the collected scenarios
-  - the policy is significantly worse in none of the --regression spaces: by collisions and, in spaces in which \
-`idm` has none of three faults (collision, hard unnecessary braking, falling behind), also by scenarios in which the \
-policy has one (McNemar's exact one-sided test on the same random scenarios, p below 0.01)
+  - the policy is significantly worse than before the round in none of the --regression spaces: by collisions and, in \
+spaces in which `idm` has none of three faults (collision, hard unnecessary braking, falling behind), also by \
+scenarios in which the policy has one (McNemar's exact one-sided test on the same random scenarios, p below 0.01)
   - with `usefulness_draws` in the preset, drives of `traffic` have no more collisions, hard unnecessary braking or \
 vehicles that fall behind than before the round; rms jerk and rms acceleration exceed the larger value of the initial \
 policy and of `idm` by at most 1 % of that of `idm`; and the mean time gap is further outside 1.2 to 2.1 s than that \

@@ -23,8 +23,8 @@ use crumple_store::disk::StagedFiles;
 #[command(after_long_help = "\
 The attack replaces the leader's script: the leader only brakes, within --max-brake and --jerk. The result is the best \
 profile that the search finds, in steps of 0.1 s. crumple simulates pulses and ramps, and improves the best of them by \
-sequential convex programming along simulated runs. It simulates the result, and prints it with the prediction of the \
-last convex program.
+sequential convex programming along simulated runs. It simulates the result, and prints its margin and the one that \
+the last convex program predicted.
 
 --budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 \
 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
@@ -34,12 +34,12 @@ milder ones. The output states if the budget was exceeded.
 For each kind of fault, crumple simulates sizes from the mildest to a limit, which the output states: the sensor range \
 from 199.9 m downwards, other sizes from 0.01 m or 0.01 s (latency: 0.002 s) upwards. It stops earlier if it has found \
 both a size that causes a collision and a size that causes unnecessary braking. The latter counts even if the \
-controller brakes only because of a vehicle behind. crumple then simulates nine sizes between each of these two and \
-the size before. The fault `ghost`, an object that does not exist, is simulated at each of 8 instants, 3 gaps and 2 \
-speeds. A printed size causes the failure when it is simulated; a smaller one between the simulated sizes may exist. \
-To compare kinds, crumple divides a size by the limit of its kind (for the range: the loss of range by the largest \
-loss). The fault with the smallest quotient is the mildest. --out writes the scenario with the mildest fault that \
-causes a collision, or else unnecessary braking.
+controller brakes only because of a vehicle behind. Between each size found, even if only one, and the size before it, \
+crumple then simulates nine more. The fault `ghost`, an object that does not exist, is simulated at each of 8 \
+instants, 3 gaps and 2 speeds. A printed size causes the failure when it is simulated; a smaller one between the \
+simulated sizes may exist. To compare kinds, crumple divides a size by the limit of its kind (for the range: the loss \
+of range by the largest loss). The fault with the smallest quotient is the mildest. --out writes the scenario with the \
+mildest fault that causes a collision, or else unnecessary braking.
 
 The printed margin is the smallest gap in metres. After a collision with an impact speed of v m/s, it is -v²/10. A \
 scenario may have 500 000 vehicle steps, and all simulations together 20 000 million, which takes some minutes.

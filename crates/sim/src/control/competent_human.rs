@@ -73,8 +73,8 @@ struct LeaderPrediction {
 
 impl BuiltIn for CompetentHuman {
     const NAME: &'static str = "competent-human";
-    const SUMMARY: &'static str = "reference driver of UN R157: brakes at 0.774 g, beginning 0.75 s after the vehicle \
-    ahead brakes, a vehicle cuts in at a time to collision of at most 2 s, or the vehicle ahead cuts out";
+    const SUMMARY: &'static str = "reference driver of UN R157: brakes at 0.774 g, beginning 0.75 s after the leader \
+    brakes, is at a time to collision of at most 2 s, or cuts out and reveals a slower vehicle";
     const ROLE: Role = Role::Reference;
     type Settings = CompetentHumanSettings;
     type Driver = Self;

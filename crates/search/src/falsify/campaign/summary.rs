@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
+use super::run::MAX_EXAMINED_KINDS;
 use super::{CampaignError, SearchObjective};
 use crate::StudySubject;
 use crate::confirmation::ReplayShare;
@@ -339,7 +340,15 @@ impl CampaignSummary {
     fn write_falsification(&self, out: &mut String) -> std::fmt::Result {
         let count = self.counterexamples.len();
         let failures = if count == 1 { "failure" } else { "failures" };
-        writeln!(out, "  FALSIFIED: {count} distinct {failures}")?;
+        let kinds = if self.failures.len() > MAX_EXAMINED_KINDS {
+            format!("each of the {MAX_EXAMINED_KINDS} most frequent kinds")
+        } else {
+            "each kind".to_owned()
+        };
+        writeln!(
+            out,
+            "  FALSIFIED: {count} distinct {failures}, among the severest, likeliest and first failure of {kinds}"
+        )?;
         if let Some(AvoidabilitySummary {
             avoidable,
             unavoidable,
