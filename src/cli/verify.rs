@@ -228,6 +228,10 @@ impl RateCommand {
     /// Counts failures, and writes a certificate.
     fn count(&self, space: ScenarioSpace, runs: u64, quiet: bool) -> Result<(), CliError> {
         let plan = self.rate_plan(space, runs)?;
+        let plan = match self.resume {
+            true => plan.with_release_of(&self.out),
+            false => plan,
+        };
         let study = study::open(&plan, &self.out, self.resume, quiet)?;
         let path = study.path(CERTIFICATE_FILE);
         output::note(

@@ -161,7 +161,7 @@ fn claims_about_drivers_name_their_space_and_follower() {
         ),
         (
             "docs/commands.md",
-            "In `paper` and `high-risk`, followers drive `baseline`",
+            "In `paper` and `high-risk`, `baseline` drives the followers",
         ),
         (
             "docs/commands.md",

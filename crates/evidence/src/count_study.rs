@@ -3,7 +3,7 @@
 
 use std::time::{Duration, Instant};
 
-use crumple_verify::{Certificate, Rejection, check};
+use crumple_verify::{Certificate, Registration, Rejection, check};
 
 use super::record::CountTally;
 use super::{CountProgress, RateError, RatePlan};
@@ -113,13 +113,18 @@ impl Study for RatePlan {
         folder: &RunFolder,
         observer: &dyn Observer<CountProgress>,
     ) -> Result<CountResult, RateFolderError> {
-        let tally = self
+        let registration: Option<Registration> = folder.read_json(REGISTRATION_FILE)?;
+        let plan = match &registration {
+            Some(registration) => self.clone().registered_as(registration),
+            None => self.clone(),
+        };
+        let tally = plan
             .read_tally(folder)?
             .ok_or_else(|| RunFolderError::missing(&folder.path(PROGRESS_FILE)))?;
         observer
-            .notify(&self.progress(&tally))
+            .notify(&plan.progress(&tally))
             .map_err(RateError::from)?;
-        let result = self.result(tally);
+        let result = plan.result(tally);
         let path = folder.path(CERTIFICATE_FILE);
         if result.certificate.is_ok() && !path.is_file() {
             return Err(RunFolderError::damaged(

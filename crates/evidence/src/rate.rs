@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::path::Path;
 use std::sync::Arc;
 
 use crumple_verify::rate::MAX_RUNS;
 use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
+use super::binding::configuration_value;
 use super::block::{CountedBlock, RunFingerprint};
 use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
@@ -21,6 +23,7 @@ use crumple_sim::engine::{
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::InvalidField;
 use crumple_spaces::{ScenarioSpace, file};
+use crumple_store::study::existing_configuration;
 
 /// Runs that are simulated together, rounded down to whole blocks, but at least one block.
 const BATCH_SIZE: u64 = 1000;
@@ -43,6 +46,7 @@ pub struct CountProgress {
 }
 
 /// A registered count of one controller, or of two on the same scenarios.
+#[derive(Clone)]
 pub struct RatePlan {
     controllers: Vec<NamedController>,
     space: ScenarioSpace,
@@ -434,12 +438,23 @@ impl RatePlan {
         Ok(counted.pop().unwrap_or_default())
     }
 
-    /// Registers another release as the one that counts, to repeat its runs.
-    pub(super) fn with_counting_release(mut self, release: &str) -> Self {
-        self.record
-            .registration
-            .configuration
-            .insert("crumple".to_owned(), release.to_owned());
+    /// Registers the release that made a finished count of this plan in a folder, if there is one: its files stay valid.
+    #[must_use]
+    pub fn with_release_of(self, folder: &Path) -> Self {
+        let existing = existing_configuration(&self, folder);
+        let registration =
+            existing.and_then(|text| serde_json::from_str::<Registration>(&text).ok());
+        match registration {
+            Some(registration) => self.registered_as(&registration),
+            None => self,
+        }
+    }
+
+    /// Registers the release of another registration as the one that counts.
+    pub(super) fn registered_as(mut self, registration: &Registration) -> Self {
+        let release = configuration_value(registration, "crumple").to_owned();
+        let facts = &mut self.record.registration.configuration;
+        facts.insert("crumple".to_owned(), release);
         self
     }
 

@@ -190,7 +190,7 @@ fn rebuild_plan(
     };
     let space = binding::read_space(certificate, opener)?;
     let plan = binding::rebuild_plan(space, registration, controllers)?;
-    Ok(plan.with_counting_release(configuration_value(registration, "crumple")))
+    Ok(plan.registered_as(registration))
 }
 
 impl Rerun {
@@ -412,7 +412,10 @@ mod tests {
 
     fn count_as(release: &str) -> Certificate {
         let plan = rate_plan("baseline", None, ("high-risk", 200), (3, 0.9));
-        let plan = plan.with_counting_release(release);
+        let mut registration = plan.registration().clone();
+        let facts = &mut registration.configuration;
+        facts.insert("crumple".to_owned(), release.to_owned());
+        let plan = plan.registered_as(&registration);
         let folder = tempfile::tempdir().unwrap();
         plan.run(folder.path(), false, &Quiet)
             .unwrap()

@@ -270,7 +270,8 @@ pub fn open_run_folder<S: Study>(
 }
 
 /// Returns the configuration of a finished study in a folder, if the study has its results.
-fn existing_configuration<S: Study>(study: &S, folder: &Path) -> Option<String> {
+#[must_use]
+pub fn existing_configuration<S: Study>(study: &S, folder: &Path) -> Option<String> {
     match run_folder::read_state(folder) {
         Ok(RunState::Complete(finished)) if finished.kind() == S::KIND => {
             let existing = finished.read_configuration(S::CONFIGURATION_FILE).ok()?;
