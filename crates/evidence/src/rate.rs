@@ -9,7 +9,6 @@ use crumple_verify::rate::MAX_RUNS;
 use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
-use super::binding::configuration_value;
 use super::block::{CountedBlock, RunFingerprint};
 use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
@@ -438,7 +437,8 @@ impl RatePlan {
         Ok(counted.pop().unwrap_or_default())
     }
 
-    /// Registers the release that made a finished count of this plan in a folder, if there is one: its files stay valid.
+    /// Registers the release that made a finished count of this plan in a folder, if there is one: its files stay
+    /// valid.
     #[must_use]
     pub fn with_release_of(self, folder: &Path) -> Self {
         let existing = existing_configuration(&self, folder);
@@ -452,9 +452,9 @@ impl RatePlan {
 
     /// Registers the release of another registration as the one that counts.
     pub(super) fn registered_as(mut self, registration: &Registration) -> Self {
-        let release = configuration_value(registration, "crumple").to_owned();
+        let release = registration.configuration.get("crumple");
         let facts = &mut self.record.registration.configuration;
-        facts.insert("crumple".to_owned(), release);
+        facts.insert("crumple".to_owned(), release.cloned().unwrap_or_default());
         self
     }
 

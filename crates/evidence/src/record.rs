@@ -209,13 +209,12 @@ impl CountRecord {
                     .collect(),
             })
         };
-        let space = self
-            .registration
-            .configuration
-            .get("space")
-            .cloned()
-            .unwrap_or_default();
-        build_certificate(space, Some(self.space_text.clone()), None, statement)
+        let facts = &self.registration.configuration;
+        let registered = |name| facts.get(name).cloned().unwrap_or_default();
+        let text = Some(self.space_text.clone());
+        let mut certificate = build_certificate(registered("space"), text, None, statement);
+        certificate.provenance.crumple = registered("crumple");
+        certificate
     }
 
     /// Returns the accepted upper bound on the rate if so many of all runs fail; 1 if there is none.
