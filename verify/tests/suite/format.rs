@@ -314,6 +314,8 @@ fn the_scope_of_a_claim_is_printed() {
     }
     let accepted = check(&unavoidable()).unwrap().to_string();
     assert!(accepted.ends_with("m or more within 1 s"), "{accepted}");
+    let message = kernel().scope().to_string();
+    assert!(message.contains("\nbehind: not considered\n"), "{message}");
     let message = rate().scope().to_string();
     for words in [
         "for 15 s from the start",
