@@ -270,7 +270,7 @@ impl<'a> VehicleColumn<'a> {
                         observation: measured.observation(run),
                     };
                     let mut observation = estimators[run].observe(&truth);
-                    // In place: a copy of the observation takes as long as a fifth of the filter.
+                    // In place, because a copy of the observation takes time in every step.
                     if hides_follower.contains(run) {
                         observation.behind = None;
                     }
