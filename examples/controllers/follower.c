@@ -1,6 +1,6 @@
 /* Controller as a process: keeps 4 m and 1.4 s to the leader, and otherwise 30 m/s. Needs the standard library only.
  *
- *     cc -O2 -o follower follower.c -lm && crumple simulate paper-1 --controller 'exec:./follower'
+ * Compiled with `-lm` to `my-controller`, `crumple simulate paper-1 --controller exec:./my-controller` runs it.
  *
  * Expects lines as crumple writes them: no spaces, and the fields in the order of the protocol. */
 #include <math.h>
@@ -50,7 +50,7 @@ int main(void) {
                     fprintf(stderr, "the observation has no %s\n", names[one]);
                     return 1;
                 }
-            printf("{\"crumple\":1,\"name\":\"follower.c\",\"deterministic\":true}\n");
+            printf("{\"crumple\":1,\"name\":\"my-controller\",\"deterministic\":true}\n");
         } else {
             fprintf(stderr, "unknown message: %s", line);
             return 1;

@@ -15,6 +15,7 @@ use crumple_sim::engine::{
 };
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
+use crumple_spaces::built_in_space;
 use crumple_spaces::{ScenarioSpace, find_space};
 
 /// Returns the built-in scenario that an argument names.
@@ -28,6 +29,14 @@ pub(super) fn load_scenario(path: &Path, controllers: Controllers) -> Result<Sce
         return Ok(scenario);
     }
     if path.extension().is_none() && !path.exists() {
+        if let Some(name) = path.to_str()
+            && built_in_space(name).is_some()
+        {
+            return Err(CliError::Input(format!(
+                "`{name}` is a scenario space: `crumple falsify --space {name}` searches it, and `crumple verify rate \
+                 --space {name}` simulates random scenarios of it"
+            )));
+        }
         let names: Vec<_> = built_in_scenario_names()
             .iter()
             .map(|(name, _)| *name)

@@ -130,6 +130,13 @@ impl Check {
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
         }
+        if self.rerun.is_some()
+            && !certificates
+                .iter()
+                .any(|(_, certificate)| counts_runs(certificate))
+        {
+            output::note("note: --rerun: no certificate counts runs", quiet);
+        }
         let printed = output::print_coloured(self.format, &self.render(&all, &others)?);
         let verdict = match refusal_message(&all) {
             Some(refusal) => Err(CliError::Unmet(refusal)),
@@ -172,8 +179,7 @@ impl Check {
             global.controllers,
         )
         .map_err(|refused| CliError::at(path, refused))?;
-        let is_about_runs = matches!(certificate.statement.subject(), ClaimSubject::Runs(_));
-        let is_count = is_about_runs && report.accepted.is_ok();
+        let is_count = counts_runs(certificate) && report.accepted.is_ok();
         report.counts = match self.rerun {
             _ if !is_count => None,
             Some(percent) => Some(self.rerun_counts(path, certificate, percent, global)?),
@@ -258,6 +264,10 @@ impl Check {
             (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())
         }))
     }
+}
+
+fn counts_runs(certificate: &Certificate) -> bool {
+    matches!(certificate.statement.subject(), ClaimSubject::Runs(_))
 }
 
 fn unchecked_to_json(others: &[(String, CliError)]) -> Result<String, CliError> {

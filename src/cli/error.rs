@@ -160,7 +160,9 @@ impl CliError {
 impl From<DiskError> for CliError {
     fn from(error: DiskError) -> Self {
         match error.source.kind() {
-            io::ErrorKind::AlreadyExists | io::ErrorKind::InvalidInput => Self::input(error),
+            io::ErrorKind::AlreadyExists
+            | io::ErrorKind::InvalidInput
+            | io::ErrorKind::IsADirectory => Self::input(error),
             _ => Self::Environment(error.to_string()),
         }
     }

@@ -16,7 +16,7 @@ use super::output_format::OutputFormat;
 use super::progress::read_bar;
 use super::{args, feature, output, simulate, value_enums};
 use crumple_controllers::Controllers;
-use crumple_exchange::recording::guess::guess;
+use crumple_exchange::recording::guess::{guess, recognised_columns};
 use crumple_exchange::recording::map::{BUILT_IN_MAPS, RecordingMap};
 use crumple_exchange::recording::{
     FollowerDriver, ImportOptions, ImportReport, ImportResult, ImportScope, ImportedScenario,
@@ -243,8 +243,7 @@ impl Import {
             ));
         };
         let Some(draft) = guess(path)? else {
-            let problem = "the columns do not look like times, speeds, and spacings or positions: write a map by hand";
-            return Err(CliError::at(path, format!("{problem} (docs/exchange.md)")));
+            return Err(CliError::at(path, why_no_draft(path)?));
         };
         note_text_format(path, &draft.recording.text, quiet);
         draft
@@ -410,4 +409,21 @@ impl Import {
             .filter(|path| path.file_name().is_some_and(|name| !written.contains(name)))
             .count())
     }
+}
+
+/// Returns what the names of columns show, and what a draft needs.
+fn why_no_draft(path: &Path) -> Result<String, CliError> {
+    let recognised = recognised_columns(path)?;
+    let columns: Vec<String> = recognised
+        .iter()
+        .map(|(role, column)| format!("{role} `{column}`"))
+        .collect();
+    let columns = match columns.is_empty() {
+        true => "no time".to_owned(),
+        false => columns.join(", "),
+    };
+    Ok(format!(
+        "no draft: the names of the columns show {columns}. A draft needs times, and spacings with two speeds, or \
+         positions with speeds and vehicles: write a map by hand (`crumple show openacc` or `highd` prints one)"
+    ))
 }

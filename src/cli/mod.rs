@@ -50,6 +50,7 @@ mod two_sided;
 mod value_enums;
 mod verify;
 mod worst_case;
+mod written_files;
 
 use std::ffi::OsString;
 use std::fmt::Write;
@@ -150,11 +151,13 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     output::show_logged_warnings();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     regular_file::permit_pipes(named_pipes(&arguments));
-    let parsed = match build_command()
+    let command = build_command();
+    let matched = command
+        .clone()
         .try_get_matches_from(&arguments)
-        .and_then(|matches| Cli::from_arg_matches(&matches))
-    {
-        Ok(parsed) => parsed,
+        .and_then(|matches| Ok((Cli::from_arg_matches(&matches)?, matches)));
+    let (parsed, matches) = match matched {
+        Ok(matched) => matched,
         Err(usage) => return report_usage(&usage, &arguments),
     };
     let quiet = parsed.quiet;
@@ -166,7 +169,9 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         quiet,
         controllers: Controllers { external },
     };
-    let ready = start_threads(parsed.jobs).and_then(|()| args::try_controllers(quiet));
+    let ready = start_threads(parsed.jobs)
+        .and_then(|()| written_files::check(&command, &matches))
+        .and_then(|()| args::try_controllers(quiet));
     let done = ready.and_then(|()| match parsed.command {
         CliCommand::Assess(command) => command.run(global),
         CliCommand::Simulate(command) => command.run(global),

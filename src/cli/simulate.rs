@@ -223,9 +223,11 @@ impl Simulate {
     }
 
     fn load_scenarios(&self, global: GlobalOptions) -> Result<Vec<Scenario>, CliError> {
+        // Without any scenario, the error names the file.
+        let skips_records = !self.scenarios.iter().all(|path| is_verdict_record(path));
         self.scenarios
             .iter()
-            .filter(|path| self.scenarios.len() == 1 || !is_verdict_record(path))
+            .filter(|path| !skips_records || !is_verdict_record(path))
             .map(|path| self.load_scenario(path, global.controllers))
             .collect()
     }

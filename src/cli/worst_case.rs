@@ -27,7 +27,7 @@ sequential convex programming along simulated runs. It simulates the result, and
 the last convex program predicted.
 
 --budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 \
-for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
+for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 384 simulations to find \
 milder ones. The output states if the budget was exceeded.
 
 --attack sensors searches for the mildest sensor fault instead, with at most 18 581 simulations and without --budget. \

@@ -59,7 +59,7 @@ fn the_count_of_harm_is_that_of_its_runs() {
             .iter()
             .map(|row| row[0].parse::<f64>().expect("a number"))
             .sum();
-        assert!((controller.harm_per_1000[0].value() - 25.0 * harm).abs() < 1e-3);
+        assert!((controller.harm_per_1000.0.value() - 25.0 * harm).abs() < 1e-3);
     }
     let [never, brake, _] = &all.controllers[..] else {
         panic!("three")

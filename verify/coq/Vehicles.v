@@ -9,12 +9,13 @@ Open Scope R_scope.
 (** A vehicle that stands is held, unless it accelerates. *)
 Definition held_at (v a : R) : R := if Rlt_dec 0 v then a else Rmax 0 a.
 
-(** A step in which the vehicle brakes at [seen] or more, or at whose end, with speed [v'], it stands, is visible. *)
-Definition sees (seen a v' : R) : bool := if Rle_dec a (- seen) then true else if Rle_dec v' 0 then true else false.
+(** A step from the speed [v] to [v'] in which the vehicle brakes at [seen] or more, or stands all the time, is visible. *)
+Definition sees (seen a v v' : R) : bool :=
+  if Rle_dec a (- seen) then true else if Rle_dec (Rmax v v') 0 then true else false.
 
 (** An actuator without delay and lag. *)
 Definition direct (h seen : R) : vehicle := Vehicle R (fun v => v) held_at (fun v a => moved_speed v (held_at v a) h)
-  (fun v a => sees seen a (moved_speed v (held_at v a) h)).
+  (fun v a => sees seen a v (moved_speed v (held_at v a) h)).
 
 Lemma moved_braking v a t : 0 <= v -> a < 0 -> moved v a t = covered v (- a) t.
 Proof.
@@ -84,7 +85,7 @@ Definition actuator (h share seen : R) : vehicle := Vehicle (R * R * list R)
   (fun i a => let '(v, r, l) := i in
     (moved_speed v (held_at v (responds share r l a)) h, responds share r l a, tl (queue l a)))
   (fun i a => let '(v, r, l) := i in
-    let r' := responds share r l a in sees seen r' (moved_speed v (held_at v r') h)).
+    let r' := responds share r l a in sees seen r' v (moved_speed v (held_at v r') h)).
 
 Theorem the_actuator_is_sound h share seen : sound (actuator h share seen) h.
 Proof. intros [[v r] l] a _. reflexivity. Qed.
@@ -97,7 +98,7 @@ Definition noisy_actuator (h share seen : R) : vehicle := Vehicle (R * R * list 
   (fun i a => let '(v, r, l, noise) := i in let r' := responds share r l a in
     (moved_speed v (noisy_response v r' (noise O)) h, r', tl (queue l a), later noise))
   (fun i a => let '(v, r, l, noise) := i in let r' := responds share r l a in
-    sees seen (r' + noise O) (moved_speed v (noisy_response v r' (noise O)) h)).
+    sees seen (r' + noise O) v (moved_speed v (noisy_response v r' (noise O)) h)).
 
 Theorem the_noisy_actuator_is_sound h share seen : sound (noisy_actuator h share seen) h.
 Proof. intros [[[v r] l] noise] a _. reflexivity. Qed.

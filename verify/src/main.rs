@@ -39,7 +39,31 @@ struct Request {
     limit: WorkLimit,
 }
 
+/// Text of `--help` below the usage.
+const HELP: &str = "\
+Accepts or rejects certificates of crumple, without its code. Prints what each shows, and on which assumptions.
+
+  --pool            conclude one failure rate from the counts of several seeds
+  --seeds RANGE     expected seeds of the pool, such as 0-99: none may be missing
+  --policy FILE     policy of the claim [default: the one next to the certificate]
+  --work-limit N    billions of operations for each certificate [default: 4000, about ten minutes]
+
+Exit codes: 0 all accepted, 1 one rejected, 2 unusable file or option, 3 output cannot be written
+";
+
+/// Returns the text of `--help` or `--version`, if one of them is the first argument.
+fn requested_text() -> Option<String> {
+    match std::env::args_os().nth(1)?.to_str()? {
+        "--help" | "-h" => Some(format!("{USAGE}\n\n{HELP}")),
+        "--version" | "-V" => Some(format!("crumple-verify {}\n", env!("CARGO_PKG_VERSION"))),
+        _ => None,
+    }
+}
+
 fn main() -> ExitCode {
+    if let Some(text) = requested_text() {
+        return ExitCode::from(print(&text, 0));
+    }
     let request = match read_arguments(std::env::args_os().skip(1)) {
         Ok(request) => request,
         Err(problem) => {

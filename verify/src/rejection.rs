@@ -96,7 +96,7 @@ pub enum Rejection {
     },
     /// The observation, or a better one, is too probable if the claim is false.
     #[error(
-        "the observed counts, or better ones, may have probability {} if the claim is false, and at most {} is allowed",
+        "if the claim is false, counts as good as these may have a probability of {}, and at most {} is allowed",
         format_number(*tail_probability),
         format_number(*max_tail_probability)
     )]

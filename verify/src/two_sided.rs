@@ -214,7 +214,7 @@ impl CoveredFollowers {
             ),
             FollowerCue::EgoBrakes => format!(
                 "brakes at {brake} m/s² or more within {reaction} s after the vehicle ahead of it begins to brake by \
-                 at least {NOTICED_BRAKE_MPS2} m/s², keeps braking as long as that vehicle brakes or stands, and \
+                 at least {NOTICED_BRAKE_MPS2} m/s² or to stand, keeps braking as long as that vehicle does so, and \
                  {drives}"
             ),
         }

@@ -189,7 +189,10 @@ pub enum InvalidRate {
     #[error(transparent)]
     OutOfRange(#[from] FieldError),
     /// A controller has no identity.
-    #[error("the controller `{controller}` states no identity, so no claim about it is possible")]
+    #[error(
+        "the controller `{controller}` states no identity, so no claim about it is possible: a controller file may \
+         name its `files`"
+    )]
     NoIdentity {
         /// Name of the controller.
         controller: String,

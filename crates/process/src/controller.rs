@@ -407,6 +407,10 @@ impl ProcessPool {
         if let Some(wanted) = greeting.inputs.filter(|wanted| *wanted != shown as u64) {
             return Err(ProcessProblem::Inputs { wanted, shown });
         }
+        if let Some(interval_s) = greeting.interval_s.filter(|stated_s| *stated_s <= 0.0) {
+            let wanted = "a positive time".to_owned();
+            return Err(ProcessProblem::Interval { interval_s, wanted });
+        }
         if let (Some(interval_s), Some(stated_s)) =
             (greeting.interval_s, self.setup.mapping.decision_interval_s)
             && interval_s != stated_s

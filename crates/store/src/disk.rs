@@ -51,6 +51,8 @@ impl DiskError {
 pub struct StagedFiles {
     /// Temporary file of each path. Declared before the locks, so that it is dropped before them.
     staged: BTreeMap<PathBuf, TempPath>,
+    /// The staged paths, each in one spelling.
+    files: BTreeSet<PathBuf>,
     /// Lock of each folder, which protects the temporary files there.
     locks: BTreeMap<PathBuf, NamedTempFile>,
 }
@@ -61,22 +63,23 @@ impl StagedFiles {
     /// # Errors
     /// [`DiskError`] if it cannot be written, or its path is staged already: [`io::ErrorKind::AlreadyExists`].
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
-        if self.staged.contains_key(path) {
-            let doubled = "two results would have this path: give the scenarios different names";
+        let file = whole_path(path);
+        if !self.files.insert(file) {
             return Err(DiskError::at(path)(io::Error::new(
                 io::ErrorKind::AlreadyExists,
-                doubled,
+                "two results would have this path",
             )));
         }
         let temp_path = self
             .write_temporary(path, contents.as_ref())
             .map_err(|error| {
-                // Only the kind: the error itself would name a temporary file that the caller does not know.
-                DiskError::at(path)(match error.kind() {
-                    io::ErrorKind::NotFound => {
+                // Only kind and code: the error itself would name a temporary file that the caller does not know.
+                DiskError::at(path)(match (error.kind(), system_code(&error)) {
+                    (io::ErrorKind::NotFound, _) => {
                         io::Error::new(io::ErrorKind::NotFound, "there is no such folder")
                     }
-                    kind => kind.into(),
+                    (_, Some(code)) => io::Error::from_raw_os_error(code),
+                    (kind, None) => kind.into(),
                 })
             })?;
         self.staged.insert(path.to_owned(), temp_path);
@@ -211,6 +214,20 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
 /// [`DiskError`] if the folder cannot be read or written.
 pub fn sync_parent_folder(path: &Path) -> Result<(), DiskError> {
     sync_folder(parent_folder(path))
+}
+
+/// Returns a path with the whole path of its folder, so that two spellings of one path are equal.
+fn whole_path(path: &Path) -> PathBuf {
+    match (fs::canonicalize(parent_folder(path)), path.file_name()) {
+        (Ok(folder), Some(name)) => folder.join(name),
+        _ => path.to_owned(),
+    }
+}
+
+/// Returns the code of the operating system in an error, or in the error that caused it.
+fn system_code(error: &io::Error) -> Option<i32> {
+    let cause = || error.get_ref()?.source()?.downcast_ref::<io::Error>();
+    error.raw_os_error().or_else(|| cause()?.raw_os_error())
 }
 
 fn parent_folder(path: &Path) -> &Path {

@@ -470,7 +470,7 @@ fn presets_that_cannot_be_used_are_named() {
     }
 }
 
-/// Exit code 3, and neither a partial nor a temporary file.
+/// Neither a partial nor a temporary file.
 #[test]
 fn output_that_cannot_be_written_leaves_nothing_behind() {
     let folder = temp_folder();
@@ -494,12 +494,12 @@ fn output_that_cannot_be_written_leaves_nothing_behind() {
         ),
         (
             "simulate paper-1 --trace t-paper-2.csv",
-            3,
+            2,
             "error: t-paper-2.csv: ",
         ),
         (
             "simulate paper-1 paper-2 --trace t.csv",
-            3,
+            2,
             "error: t-paper-2.csv: ",
         ),
     ];
@@ -566,4 +566,48 @@ fn names_and_lists_that_mean_something_else_are_refused() {
         &refused,
         "`method` is a column of every table of evaluations",
     );
+}
+
+/// No command replaces a file that it reads, whatever the spelling of its path.
+#[test]
+fn no_output_replaces_an_input() {
+    let folder = temp_folder();
+    for (name, shown) in [
+        ("s.toml", "show paper-1"),
+        ("b.toml", "show paper-1 --kind box"),
+        ("space.toml", "show high-risk"),
+        ("map.toml", "show car-following"),
+    ] {
+        let output = run_crumple(folder.path(), shown);
+        fs::write(folder.path().join(name), stdout(&output)).expect("written");
+    }
+    let name = folder.path().file_name().expect("a name").to_string_lossy();
+    for (arguments, input) in [
+        ("avoid s.toml --out ./s.toml".to_owned(), "s.toml"),
+        (format!("avoid s.toml --certificate ../{name}/s.toml"), "s.toml"),
+        ("worst-case s.toml --controller idm --out s.toml".to_owned(), "s.toml"),
+        ("verify two-sided s.toml --settings level=3 --certificate s.toml".to_owned(), "s.toml"),
+        ("verify reach --controller policy --box b.toml --certificate b.toml".to_owned(), "b.toml"),
+        (
+            "falsify --controller idm --space space.toml --compare uniform --seeds 1 --table space.toml".to_owned(),
+            "space.toml",
+        ),
+        ("fit e.csv --map map.toml --out map.toml --force".to_owned(), "map.toml"),
+    ] {
+        let path = folder.path().join(input);
+        let before = fs::read(&path).expect("a file");
+        let error = first_error_line(folder.path(), &arguments, 2);
+        assert!(error.contains("is an input of this command"), "{arguments}: {error}");
+        assert_eq!(fs::read(&path).expect("kept"), before, "{arguments}");
+    }
+    let twice = format!("avoid s.toml --certificate c.json --bound-certificate ../{name}/c.json");
+    let error = first_error_line(folder.path(), &twice, 2);
+    assert!(
+        error.contains("two results would have this path"),
+        "{error}"
+    );
+    let error = first_error_line(folder.path(), "avoid s.toml --certificate none/c.json", 2);
+    assert!(error.contains("there is no folder none"), "{error}");
+    let error = first_error_line(folder.path(), "avoid s.toml --certificate .", 2);
+    assert!(error.contains("is a directory"), "{error}");
 }

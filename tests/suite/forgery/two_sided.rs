@@ -326,9 +326,9 @@ impl<'c> PlanAttack<'c> {
         self.vehicles[0].acceleration_mps2 = self.leader_mps2(step);
         if let Some(FollowerCue::EgoBrakes) = self.claim.follower.map(|class| class.brakes_when) {
             let own = self.vehicles[1];
-            let brakes = own.acceleration_mps2 <= -NOTICED_BRAKE_MPS2
-                || own.after(ego.step_s).speed_mps == 0.0;
-            self.since_event_s = brakes.then_some(self.since_event_s.unwrap_or(0.0));
+            let stands = own.speed_mps == 0.0 && own.after(ego.step_s).speed_mps == 0.0;
+            let is_noticed = own.acceleration_mps2 <= -NOTICED_BRAKE_MPS2 || stands;
+            self.since_event_s = is_noticed.then_some(self.since_event_s.unwrap_or(0.0));
         }
         let drift_share = self
             .drift_share

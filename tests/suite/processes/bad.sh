@@ -14,6 +14,7 @@ case $what in
     list) say '[1,"bad",true]' && exit ;;
     other-version) say '{"crumple":2,"name":"bad"}' && exit ;;
     other-inputs) more=',"inputs":7' ;;
+    negative-interval) more=',"interval_s":-1' ;;
     odd-interval) more=',"interval_s":0.015' ;;
     miscount | miss-one-of-many) more=',"batch":true' ;;
     *) ;;

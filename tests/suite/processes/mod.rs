@@ -241,6 +241,12 @@ fn any_process_error_ends_the_run() {
             "expects 7 inputs, and crumple sends 10",
         ),
         (
+            "negative-interval",
+            0.0,
+            "`sh bad.sh",
+            "decides every -1 s, which is not a positive time",
+        ),
+        (
             "odd-interval",
             0.0,
             "`bad`",

@@ -420,7 +420,8 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         .replace("\"24\"", "\"900\"");
     fs::write(folder.path().join("near.toml"), near).unwrap();
     let config = format!(
-        "{ASSESSMENT}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}"
+        "{ASSESSMENT}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n\
+         harm = {{ emergencies_per_hour = 1 }}\n{suites}{gates}"
     );
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let (code, text, error) = run_and_capture(folder.path(), "assess a.toml --out out");
@@ -439,6 +440,8 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         (&Value::from(0), &Value::from(8)),
         "{drawn}"
     );
+    let harm = &report["harm"]["groups"][0]["controllers"][0];
+    assert_eq!(harm["unanswered"], 8, "{harm}");
     let own = &report["usefulness"]["controllers"][0];
     assert_eq!(
         (&own["unnecessary_braking"], &own["unanswered"][0]["runs"]),
@@ -494,10 +497,14 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     }
     let markdown = fs::read_to_string(folder.path().join("out/assessment.md")).unwrap();
     assert!(!markdown.contains("NaN"), "{markdown}");
+    let page = fs::read_to_string(folder.path().join("out/assessment.html")).unwrap();
+    assert!(page.contains("Failure rate and its exact bounds"));
     for why in [
         "gap table: index",
         "gave no answer in 8 of 8",
         "never falls behind in 2 random scenarios of `traffic` (seed 0)",
+        "only near.toml fails",
+        "`near.toml`: 8 drives are left out",
     ] {
         assert!(markdown.contains(why), "{why}: {markdown}");
     }

@@ -139,6 +139,30 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
     }
 }
 
+/// A brake that stays on once it has fired hides how the margin depends on the profile. The least possible ∫ a² that
+/// makes `baseline` fire in `paper-1` is about 0.28 m²/s³ (by hand: a linear release that ends when the brake fires).
+#[test]
+fn the_mildest_profile_is_no_rougher_than_that_of_least_peak() {
+    for (scenario, controller, most) in [
+        ("paper-1", "baseline", 0.31),
+        ("paper-1", "autoware-aeb", 0.27),
+        ("paper-2", "acc-aeb", 90.0),
+    ] {
+        let scenario = built_in_scenario(scenario).expect("built in");
+        let envelope = Envelope::from_scenario(&scenario);
+        let [mildest, least_peak] =
+            [AttackObjective::Mildest, AttackObjective::LeastPeak].map(|aim| {
+                find_attack(&scenario, &options(controller), aim, envelope, 3000)
+                    .expect("a collision")
+                    .effort_m2ps3
+            });
+        assert!(
+            mildest <= least_peak.min(most),
+            "{controller}: {mildest} {least_peak}"
+        );
+    }
+}
+
 #[test]
 fn a_jerk_without_bounds_is_none() {
     let scenario = built_in_scenario("paper-1").unwrap();

@@ -15,7 +15,8 @@ use crumple_sim::engine::{Outcome, RecordingLevel, Run, RunOptions, SimulationRe
 use crumple_sim::observation::EstimatorKind;
 use crumple_sim::scenario::NoDriverFiles;
 use crumple_sim::scenario::{
-    Brake, Driver, LeadProfile, Scenario, ScenarioSpec, built_in_scenario, file,
+    Brake, Driver, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    built_in_scenario, file,
 };
 use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
 use serde_json::Value;
@@ -169,6 +170,37 @@ fn a_finer_grid_closes_the_bracket() {
             }
         )
         .is_err()
+    );
+}
+
+/// Behind a standing vehicle, a gap decides exactly if it is the stopping distance of 25²/15 m.
+#[test]
+fn the_stopping_distance_decides_behind_a_standing_vehicle() {
+    let with_gap = |gap_m: f64| {
+        let standing = VehicleSpec::new(
+            VehicleClass::Light,
+            gap_m + VehicleClass::Light.length_m(),
+            0.0,
+            Driver::Profile(LeadProfile::Brake(Brake {
+                onset_s: 1.0,
+                rate_mps2: 3.0,
+            })),
+        );
+        let mut ego = VehicleSpec::new(VehicleClass::Light, 0.0, 25.0, Driver::UnderTest);
+        ego.max_brake_mps2 = Some(7.5);
+        let spec = ScenarioSpec::new("standing".to_owned(), 30.0, vec![standing, ego]);
+        decide_with_bound(&Scenario::new(spec).expect("valid"))
+    };
+    let stopping_m = 25.0 * 25.0 / 15.0;
+    let avoidable = with_gap(stopping_m + 0.3);
+    let gap_m = avoidable.verdict.escape().expect("an escape").min_gap_m;
+    let bound_m = avoidable.min_gap_bound_m.expect("a bound");
+    assert!((gap_m - 0.3).abs() < 0.015, "{gap_m}");
+    assert!((0.3..0.33).contains(&bound_m), "{bound_m}");
+    let unavoidable = with_gap(stopping_m - 0.06);
+    assert!(
+        matches!(unavoidable.verdict, AvoidanceVerdict::Unavoidable(_)),
+        "{unavoidable:?}"
     );
 }
 

@@ -12,7 +12,7 @@
 //!   with s* = s₀ + max(0, v T + v (v - w) / (2 √(A B))), where a gap below 1 cm counts as 1 cm;
 //! - `acc-aeb`: -b in a step that begins with s < θ (v - w). Otherwise the smaller of k_g (s - s₀ - T v) + k_v (w - v)
 //!   and of a limit, clipped to its comfort limits. With a set speed u the limit is k_v (u - v). Without one it is
-//!   max(0, k_v (w + 5 m/s - v)).
+//!   max(0, k_v (w + 2 m/s - v)).
 //!
 //! The law is evaluated in affine forms, which keep the correlation of follower and ego. A sum is exact; a product, a
 //! minimum or a maximum loses an amount of second order in the width. Inputs are within 10⁻⁹ of the truth, the rounding

@@ -393,7 +393,8 @@ impl PlanCheck<'_> {
         }
     }
 
-    /// Returns the step from which on the ego vehicle brakes noticeably, or stands.
+    /// Returns the step from which on the ego vehicle brakes noticeably or stands. A step in which it comes to a stop
+    /// with less braking does not count: it begins to stand at the end.
     fn noticed_from(&self) -> usize {
         let ego = &self.claim.ego;
         let full = std::iter::repeat(-ego.brake_mps2);
@@ -403,7 +404,8 @@ impl PlanCheck<'_> {
             .enumerate()
             .filter(|&(step, command)| {
                 let most = Interval::point(command) + Interval::point(ego.noise_mps2);
-                most.high() > -NOTICED_BRAKE_MPS2 && self.course.at(step + 1).speed_mps.high() > 0.0
+                let stands = [step, step + 1].map(|at| self.course.at(at).speed_mps.high() <= 0.0);
+                most.high() > -NOTICED_BRAKE_MPS2 && stands != [true; 2]
             });
         unnoticed.last().map_or(0, |(step, _)| step + 1)
     }

@@ -184,3 +184,36 @@ fn a_follower_that_reacts_needs_braking_that_it_notices() {
         })
     ));
 }
+
+/// The ego vehicle comes to a stop within a step of 1 s, and brakes too little to be noticed. The follower notices it
+/// when it stands, at the end of the step.
+#[test]
+fn a_vehicle_that_comes_to_a_stop_is_noticed_when_it_stands() {
+    let with_gap = |gap_m: f64| {
+        check_changed(|claim| {
+            claim.ego.step_s = 1.0;
+            claim.follower = Some(CoveredFollowers {
+                brakes_when: FollowerCue::EgoBrakes,
+                reaction_s: 0.5,
+                brake_mps2: 8.0,
+                drift_mps2: 0.0,
+            });
+            *start(claim) = TwoSidedStart {
+                ego_speed_mps: 0.6,
+                leader: None,
+                follower: Some(ObservedNeighbour {
+                    gap_m,
+                    speed_mps: 20.0,
+                }),
+                phase: KnownPhase::Waiting,
+                plan: TwoSidedPlan {
+                    commands: vec![ConstantPiece(1, -0.61)],
+                    after_firing: None,
+                },
+            };
+        })
+    };
+    // 30 m in 1.5 s, and 25 m to brake. The ego vehicle drives 0.3 m, and 2 m must remain.
+    assert!(with_gap(56.8).is_ok());
+    assert!(with_gap(56.6).is_err());
+}

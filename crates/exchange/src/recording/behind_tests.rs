@@ -326,3 +326,27 @@ fn frames_of_a_rear_radar_are_read_with_a_dbc_file() {
         "{gap_behind_m} {time_s}"
     );
 }
+
+/// The unit of a time is no word of a position.
+#[test]
+fn a_guess_takes_no_time_for_a_position() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tracks.csv");
+    let rows: String = (0..40)
+        .map(|index| {
+            let time_s = f64::from(index) / 10.0;
+            let row = |id: u32, start_m: f64| {
+                format!("{time_s},{id},1,{},20,4.5\n", start_m + 20.0 * time_s)
+            };
+            row(1, 50.0) + &row(2, 10.0)
+        })
+        .collect();
+    for time in ["time_s", "time [s]", "t_s"] {
+        std::fs::write(&path, format!("{time},id,lane,pos,vel,len\n{rows}")).unwrap();
+        let draft = guess::guess(&path).unwrap().expect("a draft");
+        let LayoutSpec::Tracks(tracks) = &draft.map.layout else {
+            panic!("{:?}", draft.map)
+        };
+        assert_eq!(tracks.position.column, "pos", "{time}");
+    }
+}

@@ -207,7 +207,7 @@ impl<'c> NamedColumns<'c> {
                 .or_else(|| {
                     columns.find_both(SPEEDS, WHEELS, &[RELATIVE, LEADERS, TIMES, SPACINGS])
                 }),
-            position: columns.find(POSITIONS, &[SPEEDS, LEADERS]),
+            position: columns.find(POSITIONS, &[SPEEDS, LEADERS, TIMES]),
             event: columns.find(EVENTS, &[TIMES]),
             vehicle: columns.find(VEHICLES, &not_vehicle),
             lane: columns.find(LANES, &[LEADERS]),
@@ -216,6 +216,23 @@ impl<'c> NamedColumns<'c> {
             speed_behind: columns.find_both(SPEEDS, behind, &[RELATIVE, TIMES, SPACINGS, WHEELS]),
             relative_behind: columns.find_both(RELATIVE, behind, &[]),
         })
+    }
+
+    /// Returns the columns that a layout needs, with their meanings.
+    fn recognised(&self) -> Vec<(&'static str, String)> {
+        let roles = [
+            ("time", Some(self.time)),
+            ("spacing", self.spacing),
+            ("speed of the leader", self.leader),
+            ("speed of the follower", self.own),
+            ("relative speed", self.relative),
+            ("vehicle", self.vehicle),
+            ("position", self.position),
+        ];
+        let named = roles
+            .into_iter()
+            .filter_map(|(role, column)| Some((role, column?.clone())));
+        named.collect()
     }
 
     /// Returns the candidate layouts with default units, the likeliest first. A row of a recording of traffic, which
@@ -539,6 +556,18 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
         Some(error) if second_choice.is_none() => Err(error),
         _ => Ok(second_choice),
     }
+}
+
+/// Returns the columns of a recording that a draft would use, each with its meaning: what a recording without a draft
+/// has.
+///
+/// # Errors
+/// [`RecordingError`] for a file whose columns cannot be read.
+pub fn recognised_columns(path: &Path) -> Result<Vec<(&'static str, String)>, RecordingError> {
+    let columns = Columns::new(binary::read_columns(path)?.names);
+    Ok(NamedColumns::find(&columns, BEHIND)
+        .map(|named| named.recognised())
+        .unwrap_or_default())
 }
 
 /// Returns whether the first rows of a recording can be read with a map, and contradict nothing.

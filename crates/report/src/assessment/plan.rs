@@ -642,6 +642,9 @@ impl PlanLoader<'_> {
             format!("must be at most {MAX_DRAWS}, found {runs}")
         })?;
         if let Some(harm) = &config.harm {
+            self.ensure(config.draws > 0, "harm", || {
+                "needs random scenarios; `draws` is 0".to_owned()
+            })?;
             let rate = harm.emergencies_per_hour;
             self.ensure(
                 (0.0..=3600.0).contains(&rate),

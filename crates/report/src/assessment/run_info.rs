@@ -32,7 +32,8 @@ impl RunInfo {
             program_sha256: program_sha256.to_owned(),
             program_commit: program_commit.map(str::to_owned),
             machine: format!(
-                "{system} {processor}, {cores} cores{}",
+                "{system} {processor}, {cores} core{}{}",
+                if cores == 1 { "" } else { "s" },
                 model.unwrap_or_default()
             ),
             duration_s: took.as_secs(),

@@ -1,8 +1,8 @@
 //! The error of drawing a PNG, which exists in builds without the feature `png`, too.
 
-/// Maximum number of pixels of a picture: 16 384 squared.
+/// Maximum number of pixels of a picture, which take 64 MiB.
 #[cfg(feature = "png")]
-pub(super) const MAX_PIXELS: f64 = 268_435_456.0;
+pub(super) const MAX_PIXELS: f64 = 16_777_216.0;
 
 /// An error of drawing a PNG.
 #[derive(Debug, thiserror::Error)]
@@ -17,7 +17,10 @@ pub enum DrawError {
     Svg(#[from] resvg::usvg::Error),
     /// The picture would be empty or too large.
     #[cfg(feature = "png")]
-    #[error("the picture has {width} by {height} pixels; use 1 to {limit} pixels", limit = MAX_PIXELS)]
+    #[error(
+        "the picture has {width} by {height} pixels, and a PNG may have 1 to {limit}: write an SVG",
+        limit = MAX_PIXELS
+    )]
     Size {
         /// Width in pixels.
         width: f64,

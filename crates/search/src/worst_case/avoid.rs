@@ -202,6 +202,9 @@ fn explore_grids(
     grids: &ControlGrids,
 ) -> Avoidance {
     let mut undecided = None;
+    if problem.follower.is_none() && problem.all_may_stand_step() < problem.steps {
+        search.bound_when_all_may_stand(grids.deciding_cell());
+    }
     for (index, &cell) in grids.cells.iter().enumerate() {
         let grid = Grid::new(problem, cell);
         if index + 1 == grids.cells.len() {

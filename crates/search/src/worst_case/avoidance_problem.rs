@@ -81,6 +81,17 @@ impl AvoidanceProblem {
         self.leader.standstill_step
     }
 
+    /// Returns the first step at which the leader stands, and full braking from the start has stopped each ego.
+    pub(super) fn all_may_stand_step(&self) -> usize {
+        let braking_s = self
+            .egos
+            .iter()
+            .map(|ego| ego.speed_mps.high() / ego.max_brake_mps2)
+            .fold(0.0, f64::max);
+        let stopped = (braking_s / self.step_s).ceil() as usize;
+        stopped.clamp(self.leader_standstill_step(), self.steps)
+    }
+
     /// Returns the first step from which the follower stands; the number of steps if never, 0 without a follower.
     pub(super) fn follower_standstill_step(&self, firing: usize) -> usize {
         self.follower.as_ref().map_or(0, |follower| {

@@ -108,6 +108,18 @@ impl<'a> FiringSearch<'a> {
         Some(first + alike.count() / 2)
     }
 
+    /// Bounds the gap at the instant at which all may stand. After it, a bound loses more with every cell, because a
+    /// standing vehicle of the model may move back within a cell.
+    pub(super) fn bound_when_all_may_stand(&mut self, cell: usize) {
+        let grid = Grid::until_all_may_stand(self.problem, cell);
+        let firing = self.problem.never_firing();
+        if let ProgramOutcome::Profile { multipliers, .. }
+        | ProgramOutcome::Infeasible(multipliers) = self.solve_program(&grid, firing)
+        {
+            self.cut(multipliers);
+        }
+    }
+
     fn solve(&mut self, grid: &Grid, firing: usize) {
         match self.solve_program(grid, firing) {
             ProgramOutcome::Profile {

@@ -47,9 +47,9 @@ pub(super) enum ProgramOutcome {
 const GUARD_MARGIN_M: f64 = 1e-5;
 
 impl Grid {
-    /// Creates a grid with cells of `cell` steps, and five times as long once the leader stands.
+    /// Creates a grid with cells of `cell` steps, and five times as long once all may stand.
     pub(super) fn new(problem: &AvoidanceProblem, cell: usize) -> Self {
-        let calm = problem.leader_standstill_step();
+        let calm = problem.all_may_stand_step();
         let mut steps = Vec::new();
         let mut step = 0;
         while step < problem.steps {
@@ -61,6 +61,14 @@ impl Grid {
             };
         }
         steps.push(problem.steps);
+        Self { steps }
+    }
+
+    /// Creates a grid that ends once all may stand.
+    pub(super) fn until_all_may_stand(problem: &AvoidanceProblem, cell: usize) -> Self {
+        let end = problem.all_may_stand_step();
+        let mut steps: Vec<usize> = (0..end).step_by(cell.max(1)).collect();
+        steps.push(end);
         Self { steps }
     }
 

@@ -19,8 +19,14 @@ const TRUST_REGION_MPS2: [f64; 2] = [1.0, 0.01];
 /// Maximum number of starts of descents, and simulations per start.
 const MAX_STARTS: usize = 8;
 const SIMULATIONS_PER_START: usize = 250;
-const BISECTIONS: usize = 6;
+/// Bisections of the depth of every pulse that collides, and further ones of the mildest.
+const FIRST_BISECTIONS: usize = 2;
+const BISECTIONS: usize = 4;
 const BISECTED_PULSES: [usize; 2] = [8, 24];
+/// Bisections of the scale of a result, and of the time at which its braking is released.
+const RESULT_BISECTIONS: usize = 8;
+/// Simulations of each descent that are kept for its last round and for these bisections.
+const RESERVED_SIMULATIONS: usize = 50;
 const MIN_GAIN: f64 = 1e-4;
 /// Margins that a step to a milder collision aims at, in metres.
 const STEP_MARGINS_M: [f64; 4] = [-1e-3, -0.05, -0.3, -1.0];
@@ -96,8 +102,10 @@ pub(super) fn attack(
     for (index, start) in starts.into_iter().enumerate() {
         // Each descent gets an equal share of the remaining simulations.
         let spent = search.simulator.evaluations;
-        let until = spent + budget.saturating_sub(spent) / (count - index);
+        let share = budget.saturating_sub(spent) / (count - index);
+        let until = spent + share.saturating_sub(RESERVED_SIMULATIONS);
         let descent = search.descend(start, until)?;
+        let descent = search.reduce(descent)?;
         let is_best = best
             .as_ref()
             .is_none_or(|best| search.is_better(&descent.profile, &best.profile));
@@ -167,33 +175,36 @@ impl AttackSearch<'_, '_> {
                 .take(MAX_STARTS)
                 .collect());
         }
-        let mildest = self.select_mildest(all);
-        let reduced = self.reduce_depths(mildest)?;
-        let mut points: Vec<SimulatedBraking> =
-            reduced.into_iter().map(|point| self.trim(point)).collect();
+        let most = (all.len() / 5).clamp(BISECTED_PULSES[0], BISECTED_PULSES[1]);
+        // A long and shallow braking is milder than its first depth that collides suggests.
+        let mut bisections = self.select_shallowest(all);
+        self.reduce_depths(&mut bisections, FIRST_BISECTIONS)?;
+        bisections.sort_by(|a, b| self.compare_costs(&a.point, &b.point));
+        bisections.truncate(most);
+        self.reduce_depths(&mut bisections, BISECTIONS)?;
+        let mut points: Vec<SimulatedBraking> = bisections
+            .into_iter()
+            .map(|bisection| self.trim(bisection.point))
+            .collect();
         points.sort_by(|a, b| self.compare_costs(a, b));
         points.truncate(MAX_STARTS);
         Ok(points)
     }
 
-    /// Returns the mildest of the pulses that collide, one depth of each form, length and onset.
-    fn select_mildest(
-        &self,
-        mut all: Vec<(Pulse, SimulatedBraking)>,
-    ) -> Vec<(Pulse, SimulatedBraking)> {
-        let most = (all.len() / 5).clamp(BISECTED_PULSES[0], BISECTED_PULSES[1]);
+    /// Returns the shallowest pulse that collides of each form, length and onset.
+    fn select_shallowest(&self, mut all: Vec<(Pulse, SimulatedBraking)>) -> Vec<DepthBisection> {
         all.retain(|(_, point)| point.collides);
         all.sort_by(|(_, a), (_, b)| self.compare_costs(a, b));
-        let mut mildest: Vec<(Pulse, SimulatedBraking)> = Vec::new();
-        for (pulse, point) in all {
-            let is_new = !mildest
+        let mut shallowest: Vec<DepthBisection> = Vec::new();
+        for pulse in all {
+            let is_new = !shallowest
                 .iter()
-                .any(|(milder, _)| milder.differs_in_depth_only(&pulse));
-            if mildest.len() < most && is_new {
-                mildest.push((pulse, point));
+                .any(|milder| milder.pulse.differs_in_depth_only(&pulse.0));
+            if is_new {
+                shallowest.push(DepthBisection::new(pulse));
             }
         }
-        mildest
+        shallowest
     }
 
     fn compare_costs(&self, a: &SimulatedBraking, b: &SimulatedBraking) -> Ordering {
@@ -201,14 +212,13 @@ impl AttackSearch<'_, '_> {
             .total_cmp(&self.cost(&b.cells_mps2))
     }
 
-    /// Reduces the depths of colliding pulses by bisection, and returns the shallowest that collide.
+    /// Reduces the depths of colliding pulses by bisection.
     fn reduce_depths(
         &mut self,
-        pulses: Vec<(Pulse, SimulatedBraking)>,
-    ) -> Result<Vec<SimulatedBraking>, AttackError> {
-        let mut bisections: Vec<DepthBisection> =
-            pulses.into_iter().map(DepthBisection::new).collect();
-        for _ in 0..BISECTIONS {
+        bisections: &mut [DepthBisection],
+        count: usize,
+    ) -> Result<(), AttackError> {
+        for _ in 0..count {
             let halves: Vec<Pulse> = bisections.iter().map(DepthBisection::half).collect();
             let profiles = halves.iter().map(|half| half.cells_mps2(self.simulator));
             let simulated = self.simulate_profiles(profiles.collect())?;
@@ -217,10 +227,59 @@ impl AttackSearch<'_, '_> {
                 bisection.narrow(half, point);
             }
         }
-        Ok(bisections
-            .into_iter()
-            .map(|bisection| bisection.point)
-            .collect())
+        Ok(())
+    }
+
+    /// Releases the braking of a result earlier and scales it down, as far as it still collides. Once a latched brake
+    /// has fired, the margin no longer depends on the profile, and a descent finds no gradient.
+    fn reduce(&mut self, descent: Descent) -> Result<Descent, AttackError> {
+        if !self.reduces_cost(&descent.profile) {
+            return Ok(descent);
+        }
+        let cost = self.cost(&descent.profile.cells_mps2);
+        let most = self.simulator.envelope.jerk_mps3 * self.simulator.cell_s();
+        let cells = descent.profile.until_s / self.simulator.cell_s();
+        let released = |cells_mps2: &[f64], share: f64| {
+            let mut released = cells_mps2.to_vec();
+            release_from((share * cells).ceil() as usize, &mut released, most);
+            released
+        };
+        let scaled = |cells_mps2: &[f64], share: f64| {
+            let scaled = cells_mps2.iter().map(|cell_mps2| share * cell_mps2);
+            scaled.collect()
+        };
+        let profile = self.bisect_share(descent.profile, &released)?;
+        let profile = self.bisect_share(profile, &scaled)?;
+        Ok(if self.cost(&profile.cells_mps2) < cost {
+            Descent {
+                predicted_margin_m: profile.margin_m,
+                profile,
+            }
+        } else {
+            Descent { profile, ..descent }
+        })
+    }
+
+    /// Returns the change of a colliding profile by the smallest share that collides, of those that a bisection tries.
+    fn bisect_share(
+        &mut self,
+        mut best: SimulatedBraking,
+        change: &dyn Fn(&[f64], f64) -> Vec<f64>,
+    ) -> Result<SimulatedBraking, AttackError> {
+        let whole_mps2 = best.cells_mps2.clone();
+        let [mut safe, mut collides] = [0.0, 1.0];
+        for _ in 0..RESULT_BISECTIONS {
+            let share = 0.5 * (safe + collides);
+            let simulated = self.simulate_profiles(vec![change(&whole_mps2, share)])?;
+            match simulated.into_iter().next().filter(|point| point.collides) {
+                Some(point) => {
+                    collides = share;
+                    best = point;
+                }
+                None => safe = share,
+            }
+        }
+        Ok(best)
     }
 
     /// Steps from one profile until `until` simulations or no improvement.
@@ -315,15 +374,7 @@ impl AttackSearch<'_, '_> {
         let cell_s = self.simulator.cell_s();
         let most = self.simulator.envelope.jerk_mps3 * cell_s;
         let over = (point.until_s / cell_s).ceil() as usize;
-        let mut before = over
-            .checked_sub(1)
-            .and_then(|last| point.cells_mps2.get(last))
-            .copied()
-            .unwrap_or(0.0);
-        for cell_mps2 in point.cells_mps2.iter_mut().skip(over) {
-            *cell_mps2 = (before + most).min(0.0);
-            before = *cell_mps2;
-        }
+        release_from(over, &mut point.cells_mps2, most);
         point
     }
 
@@ -359,5 +410,18 @@ impl AttackSearch<'_, '_> {
             .map(|point| point.margin_m)
             .collect();
         Ok(finite_difference_gradient(at.margin_m, &margins_m, &by))
+    }
+}
+
+/// Releases the braking from a cell on, by at most `most` from cell to cell.
+fn release_from(cell: usize, cells_mps2: &mut [f64], most: f64) {
+    let mut before = cell
+        .checked_sub(1)
+        .and_then(|last| cells_mps2.get(last))
+        .copied()
+        .unwrap_or(0.0);
+    for cell_mps2 in cells_mps2.iter_mut().skip(cell) {
+        *cell_mps2 = (before + most).min(0.0);
+        before = *cell_mps2;
     }
 }

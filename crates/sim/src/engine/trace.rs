@@ -93,7 +93,13 @@ impl Trace {
         let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else {
             return Vec::new();
         };
-        let changes_s = lane_change_times_s(ahead.iter().chain([rear]));
+        // No vehicle ahead of one that never leaves the lane can be a leader.
+        let nearest = ahead
+            .iter()
+            .rposition(|track| track.is_in_lane_throughout(Track::THROUGHOUT_S))
+            .unwrap_or(0);
+        let near = &ahead[nearest..];
+        let changes_s = lane_change_times_s(near.iter().chain([rear]));
         // A vehicle that leaves at the start was never in the lane.
         let before_s = self
             .time_s
@@ -106,9 +112,10 @@ impl Trace {
             .filter(|(_, to_s)| **to_s > before_s)
         {
             let span_s = [from_s, to_s];
-            let Some(front_vehicle) = ahead
+            let Some(front_vehicle) = near
                 .iter()
                 .rposition(|track| track.is_in_lane_throughout(span_s))
+                .map(|index| nearest + index)
                 .filter(|_| rear.is_in_lane_throughout(span_s))
             else {
                 continue;

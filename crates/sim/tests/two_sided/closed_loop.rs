@@ -455,9 +455,10 @@ impl<'l> LoopSimulation<'l> {
                 }
             }
             FollowerTrigger::LeaderBrakes => {
-                let brakes = own.acceleration_mps2 <= -NOTICED_BRAKE_MPS2
-                    || own.after(self.setup.params.step_s).speed_mps == 0.0;
-                self.triggered = brakes.then_some(self.triggered.unwrap_or(0));
+                let stands =
+                    own.speed_mps == 0.0 && own.after(self.setup.params.step_s).speed_mps == 0.0;
+                let is_noticed = own.acceleration_mps2 <= -NOTICED_BRAKE_MPS2 || stands;
+                self.triggered = is_noticed.then_some(self.triggered.unwrap_or(0));
             }
         }
         match self.triggered {

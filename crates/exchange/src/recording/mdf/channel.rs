@@ -105,9 +105,17 @@ impl Channel {
         self.conversion.apply(raw)
     }
 
-    /// Returns the bits of the value, without conversion.
+    /// Returns the bits of the value, without conversion; 0 for a channel without bytes.
     pub(super) fn raw(&self, record: &[u8]) -> u64 {
-        self.bits.get(record)
+        match self.kind {
+            RawValueKind::Index => 0,
+            _ => self.bits.get(record),
+        }
+    }
+
+    /// True if the records have no bytes of the channel.
+    pub(super) fn is_virtual(&self) -> bool {
+        self.kind == RawValueKind::Index
     }
 }
 

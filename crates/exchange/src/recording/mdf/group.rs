@@ -335,6 +335,11 @@ impl ChannelReader<'_> {
         let Some(channel) = Channel::read(blocks, block, self.data_bytes, signal_use)? else {
             return Ok(());
         };
+        if frame_part.is_some() && channel.is_virtual() {
+            return Err(MdfError::Unsupported(format!(
+                "`{name}` as a virtual channel: frames need its bits in each record"
+            )));
+        }
         match frame_part {
             _ if is_clock => self.group.clock = Some((self.clock, channel)),
             Some("ID") => self.frames.id = Some(channel),

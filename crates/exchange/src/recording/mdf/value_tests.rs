@@ -372,3 +372,26 @@ fn signals_of_impossible_length_are_named() {
         assert_eq!(read.expect_err("wrong").to_string(), expected);
     }
 }
+
+/// The id of a frame cannot come from the number of its record.
+#[test]
+fn a_virtual_channel_is_no_part_of_a_frame() {
+    let mut file = frames_file(&[(1, 512, [0; 8])]);
+    // Byte 9 and 32 bits, the place of the id.
+    let byte_and_bits = [9, 0, 0, 0, 32, 0, 0, 0];
+    let at = file
+        .windows(byte_and_bits.len())
+        .position(|bytes| bytes == byte_and_bits)
+        .expect("the channel of the id");
+    const VIRTUAL: u8 = 6;
+    (file[at - 4], file[at + 4]) = (VIRTUAL, 0);
+    let dbc = DbcFile::parse(DBC.as_bytes(), Path::new("bus.dbc"))
+        .and_then(|dbc| dbc.with_frames_of(map("").spec()))
+        .expect("a DBC file");
+    let read = SignalSet::read(Cursor::new(file), Some(&dbc), &|name| name == "Gap");
+    let message = read.expect_err("no id").to_string();
+    assert!(
+        message.contains("`CAN_DataFrame.ID` as a virtual channel"),
+        "{message}"
+    );
+}

@@ -188,7 +188,11 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> St
     });
     let sentences: Vec<String> = more.into_iter().chain(fewer).collect();
     if sentences.is_empty() {
-        return format!("It is not shown to fail less often than `{first}`.");
+        let counts = match plan.config.draws {
+            0 => "",
+            _ => "; the sections on random scenarios compare the counts of both",
+        };
+        return format!("No certificate shows that it fails less often than `{first}`{counts}.");
     }
     sentences.join(" ")
 }

@@ -24,12 +24,15 @@ use crate::assessment::{AssessError, AssessmentPlan, Rounded};
 use crumple_measure::harm;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_sim::engine::{
-    AfterCollision, NamedController, RecordingLevel, RunOptions, SimulationResult,
+    AfterCollision, NamedController, Outcome, RecordingLevel, RunOptions, SimulationResult,
 };
 use crumple_sim::scenario::{Scenario, VehicleSpec};
 
 /// Deceleration above which a drive has an activation, in m/s²: comfort braking is below it, Autoware's brake above.
 pub const ACTIVATION_MPS2: f64 = 2.5;
+
+/// Smallest number of drives with harm for an interval of harm: with fewer, a normal interval is too short.
+const MIN_HARMFUL_DRIVES: u64 = 10;
 
 /// Two-sided quantile of the normal distribution at 95 %.
 const NORMAL_QUANTILE: f64 = 1.96;
@@ -70,6 +73,8 @@ pub struct HarmGroup {
 pub struct ControllerHarm {
     /// Name of the controller.
     pub controller: String,
+    /// Drives in which this controller or the reference gave no answer. The other figures leave them out.
+    pub unanswered: u64,
     /// Drives in which the vehicle under test brakes harder than [`ACTIVATION_MPS2`] before any collision.
     pub activations: u64,
     /// Drives in which the vehicle under test hits its leader, in percent.
@@ -82,8 +87,9 @@ pub struct ControllerHarm {
     pub caused: u64,
     /// Collisions behind caused per 100 activations.
     pub caused_per_100_activations: PercentInterval,
-    /// Expected number of seriously injured drivers per 1000 drives, and half of its 95 % interval.
-    pub harm_per_1000: [Rounded<3>; 2],
+    /// Expected number of seriously injured drivers per 1000 drives, and half of its 95 % interval; `None` with harm in
+    /// fewer than 10 drives.
+    pub harm_per_1000: (Rounded<3>, Option<Rounded<3>>),
 }
 
 /// One run.
@@ -100,6 +106,9 @@ struct HarmRun {
     /// True if the follower hit the vehicle under test before that hit the leader.
     is_pushed: bool,
     harm: f64,
+    /// True if the controller gave no answer, so that the run ended early.
+    #[serde(default)]
+    is_unanswered: bool,
 }
 
 impl HarmRun {
@@ -127,6 +136,7 @@ impl HarmRun {
             impacts_mps: [ego, ego + 1].map(|rear| hardest_impact_mps(simulated, rear)),
             is_pushed: is_pushed(simulated, ego),
             harm: harm(&simulated.impacts, vehicles.len()),
+            is_unanswered: matches!(simulated.outcome, Outcome::ControllerFailed(_)),
         }
     }
 
@@ -322,19 +332,27 @@ fn write_csv(
         };
         let [ahead_s, behind_s] = run.time_gaps_s.map(number_or_empty);
         // A controller's name may have commas.
-        let _ = writeln!(
+        let _ = write!(
             out,
-            "{space},\"{}\",{draw},{},{},{ahead_s},{behind_s},{},{avoidable},{},{},{},{},{}",
+            "{space},\"{}\",{draw},{},{},{ahead_s},{behind_s},{},{avoidable},",
             controller.replace('"', "\"\""),
             run.follower,
             run.speed_mps,
             run.friction,
-            u8::from(run.activates),
-            number_or_empty(run.impacts_mps[0]),
-            number_or_empty(run.impacts_mps[1]),
-            u8::from(run.is_pushed),
-            run.harm
         );
+        let _ = if run.is_unanswered {
+            writeln!(out, ",,,,")
+        } else {
+            writeln!(
+                out,
+                "{},{},{},{},{}",
+                u8::from(run.activates),
+                number_or_empty(run.impacts_mps[0]),
+                number_or_empty(run.impacts_mps[1]),
+                u8::from(run.is_pushed),
+                run.harm
+            )
+        };
     }
 }
 
@@ -394,13 +412,13 @@ impl HarmGroup {
                 percent_cell(harm.caused_per_100_activations)
             }),
             ("harm per 1000 drives", &|harm| {
-                ReportCell::number(format!(
-                    "{} ± {}",
-                    harm.harm_per_1000[0], harm.harm_per_1000[1]
-                ))
+                let (mean, margin) = harm.harm_per_1000;
+                ReportCell::number(
+                    margin.map_or_else(|| mean.to_string(), |margin| format!("{mean} ± {margin}")),
+                )
             }),
             ("harm per hour", &|harm| {
-                let per_drive = harm.harm_per_1000[0].value() / 1000.0;
+                let per_drive = harm.harm_per_1000.0.value() / 1000.0;
                 ReportCell::number(format!("{:.2e}", per_drive * emergencies_per_hour))
             }),
         ];
@@ -421,16 +439,15 @@ fn percent_cell(share: PercentInterval) -> ReportCell {
 impl ControllerHarm {
     /// Summarizes the runs of a controller, each with the run of the reference in the same drive.
     fn new(controller: &str, pairs: &[(&HarmRun, &HarmRun)]) -> Self {
+        let (unanswered, pairs): (Vec<_>, Vec<_>) = pairs
+            .iter()
+            .partition(|(run, reference)| run.is_unanswered || reference.is_unanswered);
+        let pairs = &pairs[..];
         let drives = pairs.len() as u64;
         let activations = count_pairs(pairs, |run, _| run.activates);
-        let mean = pairs.iter().map(|(run, _)| run.harm).sum::<f64>() / drives as f64;
-        let variance = pairs
-            .iter()
-            .map(|(run, _)| (run.harm - mean).powi(2))
-            .sum::<f64>()
-            / drives as f64;
         Self {
             controller: controller.to_owned(),
+            unanswered: unanswered.len() as u64,
             activations,
             ahead_percent: PercentInterval::clopper_pearson(
                 [count_pairs(pairs, |run, _| run.hits_leader()), 0],
@@ -453,10 +470,22 @@ impl ControllerHarm {
                 ],
                 activations,
             ),
-            harm_per_1000: [mean, NORMAL_QUANTILE * (variance / drives as f64).sqrt()]
-                .map(|value| Rounded::new(1000.0 * value)),
+            harm_per_1000: harm_per_1000(pairs),
         }
     }
+}
+
+/// Returns the mean harm of 1000 drives, and half of its interval.
+fn harm_per_1000(pairs: &[(&HarmRun, &HarmRun)]) -> (Rounded<3>, Option<Rounded<3>>) {
+    let drives = pairs.len().max(1) as f64;
+    let mean = pairs.iter().map(|(run, _)| run.harm).sum::<f64>() / drives;
+    let squares = pairs.iter().map(|(run, _)| (run.harm - mean).powi(2));
+    let margin = NORMAL_QUANTILE * (squares.sum::<f64>() / drives / drives).sqrt();
+    let has_interval = count_pairs(pairs, |run, _| run.harm > 0.0) >= MIN_HARMFUL_DRIVES;
+    (
+        Rounded::new(1000.0 * mean),
+        has_interval.then(|| Rounded::new(1000.0 * margin)),
+    )
 }
 
 fn count_pairs(
@@ -514,8 +543,8 @@ impl HarmReport {
             "Harm is the expected number of seriously injured drivers (MAIS3+ of Wang 2022, DOT HS 813 219, for light \
              vehicles; also used for lorries). An activation is braking above {ACTIVATION_MPS2} m/s² before any \
              collision. Avoided and caused are relative to the first controller in the same drive. Intervals are at 95 \
-             %: exact for shares, normal for harm. Rates per hour assume {} emergencies per hour. `runs.csv` has every \
-             run.",
+             %: exact for shares, normal for harm (none if fewer than {MIN_HARMFUL_DRIVES} drives have harm). Rates \
+             per hour assume {} emergencies per hour. `runs.csv` has every run.",
             self.emergencies_per_hour
         )
     }
@@ -524,10 +553,21 @@ impl HarmReport {
 impl HarmGroup {
     fn describe(&self) -> String {
         let [avoidable, unavoidable, examined] = self.avoidable;
-        format!(
-            "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and {unavoidable} \
-             are proved to have none (`crumple avoid`).",
-            self.drives
-        )
+        let mut text = format!("{} drives.", self.drives);
+        if examined > 0 {
+            let _ = write!(
+                text,
+                " Of the first {examined}, {avoidable} have an escape from every collision, and {unavoidable} are \
+                 proved to have none (`crumple avoid`)."
+            );
+        }
+        for harm in self.controllers.iter().filter(|harm| harm.unanswered > 0) {
+            let _ = write!(
+                text,
+                " `{}`: {} drives are left out, because it or the reference gave no answer.",
+                harm.controller, harm.unanswered
+            );
+        }
+        text
     }
 }

@@ -279,6 +279,12 @@ impl SpaceSample {
         claims
     }
 
+    fn all_answered(&self) -> bool {
+        self.controllers
+            .iter()
+            .all(|sampled| sampled.ends.unanswered.is_none())
+    }
+
     fn unanswered_notes(&self) -> Vec<String> {
         self.controllers
             .iter()
@@ -366,7 +372,11 @@ impl SpaceSample {
             .controllers
             .first()
             .map_or("", |sampled| sampled.controller.as_str());
-        let only_first = format!("only {first} collides");
+        let all_answered = self.all_answered();
+        // A run without an answer counts as a failure, and has no collision.
+        let fails = if all_answered { "collides" } else { "fails" };
+        let only_first = format!("only {first} {fails}");
+        let only_this = format!("only this {fails}");
         let columns: [ReportColumn<'_, &ControllerSample>; 13] = [
             ("controller", &|sampled| {
                 ReportCell::text(&sampled.controller)
@@ -410,14 +420,10 @@ impl SpaceSample {
             (&only_first, &|sampled| {
                 ReportCell::optional(sampled.paired.map(|paired| paired.only_first))
             }),
-            ("only this collides", &|sampled| {
+            (&only_this, &|sampled| {
                 ReportCell::optional(sampled.paired.map(|paired| paired.only_this))
             }),
         ];
-        let all_answered = self
-            .controllers
-            .iter()
-            .all(|sampled| sampled.ends.unanswered.is_none());
         ReportTable::from_items(&self.controllers, &columns)
             .without_column(all_answered.then_some(2))
     }
@@ -437,10 +443,23 @@ impl SpaceSample {
             .controllers
             .iter()
             .map(|sampled| format!("{} {} %", sampled.controller, sampled.rate_percent.observed));
+        let [heading, axis, title] = if self.all_answered() {
+            [
+                "Collision rate and its exact bounds",
+                "Collisions (% of random scenarios)",
+                "Collision rates",
+            ]
+        } else {
+            [
+                "Failure rate and its exact bounds",
+                "Collisions and missing answers (% of random scenarios)",
+                "Failure rates",
+            ]
+        };
         let figure = ShareFigure {
-            heading: "Collision rate and its exact bounds",
-            axis: "Collisions (% of random scenarios)",
-            title: "Collision rates",
+            heading,
+            axis,
+            title,
             description: &description.collect::<Vec<_>>().join(", "),
             row_height: 30.0,
         };
@@ -616,7 +635,7 @@ impl ReportPart for SpaceSamples {
     }
 
     fn write(&self, out: &mut ReportDocument) {
-        for sample in &self.spaces {
+        for sample in self.simulated() {
             out.paragraph(sample.introduction());
             out.table(sample.table());
             for note in sample.unanswered_notes() {
@@ -627,7 +646,7 @@ impl ReportPart for SpaceSamples {
     }
 
     fn is_shown(&self) -> bool {
-        !self.spaces.is_empty()
+        self.simulated().next().is_some()
     }
 
     fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {

@@ -282,9 +282,10 @@ impl FollowerTracker {
                 }
             }
             FollowerTrigger::LeaderBrakes => {
-                let brakes = state.response_mps2 + params.noise_mps2 <= -NOTICED_BRAKE_MPS2
-                    || state.speed_mps[1] <= 0.0;
-                self.steps = brakes.then_some(self.steps.unwrap_or(1));
+                // The last step counts if the ego vehicle braked in it. If it only came to a stop, it stands from now.
+                let braked = state.response_mps2 + params.noise_mps2 <= -NOTICED_BRAKE_MPS2;
+                let is_noticed = braked || state.speed_mps[1] <= 0.0;
+                self.steps = is_noticed.then_some(self.steps.unwrap_or(braked.into()));
             }
         }
     }

@@ -139,6 +139,7 @@ impl<'p> Trial<'p> {
         let mut response_mps2 = self.state.response_mps2;
         for (index, command_mps2) in prefix_mps2.enumerate() {
             response_mps2 = params.response_mps2(response_mps2, command_mps2);
+            let stood = self.paths.up.end().speed_mps <= 0.0;
             for (path, noise_mps2) in [
                 (&mut self.paths.low, -params.noise_mps2),
                 (&mut self.paths.up, params.noise_mps2),
@@ -153,7 +154,7 @@ impl<'p> Trial<'p> {
                 path.run_until(acceleration_mps2, (index + 1) as f64 * step_s);
             }
             let is_noticed = response_mps2 + params.noise_mps2 <= -NOTICED_BRAKE_MPS2
-                || self.paths.up.end().speed_mps <= 0.0;
+                || stood && self.paths.up.end().speed_mps <= 0.0;
             if !is_noticed {
                 self.braking_from_s = f64::INFINITY;
             } else if self.braking_from_s == f64::INFINITY {
