@@ -152,10 +152,13 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     regular_file::permit_pipes(named_pipes(&arguments));
     let command = build_command();
+    // Reading an argument also reads the files that a controller file names.
+    regular_file::record_opened();
     let matched = command
         .clone()
         .try_get_matches_from(&arguments)
         .and_then(|matches| Ok((Cli::from_arg_matches(&matches)?, matches)));
+    let opened = regular_file::take_opened();
     let (parsed, matches) = match matched {
         Ok(matched) => matched,
         Err(usage) => return report_usage(&usage, &arguments),
@@ -170,7 +173,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         controllers: Controllers { external },
     };
     let ready = start_threads(parsed.jobs)
-        .and_then(|()| written_files::check(&command, &matches))
+        .and_then(|()| written_files::check(&command, &matches, &opened))
         .and_then(|()| args::try_controllers(quiet));
     let done = ready.and_then(|()| match parsed.command {
         CliCommand::Assess(command) => command.run(global),

@@ -6,7 +6,7 @@
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Pipes that may be read.
 static PERMITTED_PIPES: OnceLock<Vec<PathBuf>> = OnceLock::new();
@@ -15,6 +15,21 @@ static PERMITTED_PIPES: OnceLock<Vec<PathBuf>> = OnceLock::new();
 /// program. A second call has no effect.
 pub fn permit_pipes(paths: Vec<PathBuf>) {
     let _ = PERMITTED_PIPES.set(paths);
+}
+
+/// Files that [`open`] has opened, as whole paths; `None` without [`record_opened`].
+static OPENED: Mutex<Option<Vec<PathBuf>>> = Mutex::new(None);
+
+/// Records the files that [`open`] opens from now on, until [`take_opened`].
+pub fn record_opened() {
+    *OPENED.lock().unwrap_or_else(PoisonError::into_inner) = Some(Vec::new());
+}
+
+/// Returns the recorded files as whole paths, and ends the record.
+#[must_use]
+pub fn take_opened() -> Vec<PathBuf> {
+    let recorded = OPENED.lock().unwrap_or_else(PoisonError::into_inner).take();
+    recorded.unwrap_or_default()
 }
 
 /// Opens a regular file for reading.
@@ -32,7 +47,11 @@ pub fn open(path: &Path) -> io::Result<File> {
     {
         return File::open(path);
     }
-    open_with(path, OpenOptions::new().read(true))
+    let file = open_with(path, OpenOptions::new().read(true))?;
+    if let Some(opened) = &mut *OPENED.lock().unwrap_or_else(PoisonError::into_inner) {
+        opened.extend(path.canonicalize());
+    }
+    Ok(file)
 }
 
 /// Opens a regular file with the given options, which may create it. Does not wait, whatever has its name.

@@ -600,6 +600,23 @@ fn no_output_replaces_an_input() {
         assert!(error.contains("is an input of this command"), "{arguments}: {error}");
         assert_eq!(fs::read(&path).expect("kept"), before, "{arguments}");
     }
+    for (name, text) in [
+        ("drive.py", "print()\n"),
+        (
+            "own.toml",
+            "version = 1\ncommand = [\"sh\", \"drive.py\"]\nfiles = [\"drive.py\"]\n",
+        ),
+    ] {
+        fs::write(folder.path().join(name), text).expect("written");
+    }
+    for controller in ["own.toml", "exec:sh drive.py", "shield:own.toml"] {
+        let arguments = format!("worst-case s.toml --controller '{controller}' --out drive.py");
+        let error = first_error_line(folder.path(), &arguments, 2);
+        assert!(
+            error.contains("is an input of this command"),
+            "{controller}: {error}"
+        );
+    }
     let twice = format!("avoid s.toml --certificate c.json --bound-certificate ../{name}/c.json");
     let error = first_error_line(folder.path(), &twice, 2);
     assert!(

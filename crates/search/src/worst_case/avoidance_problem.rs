@@ -81,14 +81,14 @@ impl AvoidanceProblem {
         self.leader.standstill_step
     }
 
-    /// Returns the first step at which the leader stands, and full braking from the start has stopped each ego.
+    /// Returns the first step at which the leader stands, and the first command, of full braking, has stopped each ego.
     pub(super) fn all_may_stand_step(&self) -> usize {
-        let braking_s = self
-            .egos
-            .iter()
-            .map(|ego| ego.speed_mps.high() / ego.max_brake_mps2)
-            .fold(0.0, f64::max);
-        let stopped = (braking_s / self.step_s).ceil() as usize;
+        let egos = self.egos.iter().zip(&self.dead_steps);
+        let stopped = egos.map(|(ego, dead_steps)| {
+            let braking_s = ego.speed_mps.high() / ego.max_brake_mps2;
+            ((braking_s / self.step_s).ceil() as usize).saturating_add(*dead_steps)
+        });
+        let stopped = stopped.max().unwrap_or(0);
         stopped.clamp(self.leader_standstill_step(), self.steps)
     }
 

@@ -25,7 +25,7 @@ const BISECTIONS: usize = 4;
 const BISECTED_PULSES: [usize; 2] = [8, 24];
 /// Bisections of the scale of a result, and of the time at which its braking is released.
 const RESULT_BISECTIONS: usize = 8;
-/// Simulations of each descent that are kept for its last round and for these bisections.
+/// Largest number of simulations of each descent that are kept for its last round and for these bisections.
 const RESERVED_SIMULATIONS: usize = 50;
 const MIN_GAIN: f64 = 1e-4;
 /// Margins that a step to a milder collision aims at, in metres.
@@ -103,7 +103,7 @@ pub(super) fn attack(
         // Each descent gets an equal share of the remaining simulations.
         let spent = search.simulator.evaluations;
         let share = budget.saturating_sub(spent) / (count - index);
-        let until = spent + share.saturating_sub(RESERVED_SIMULATIONS);
+        let until = spent + share.saturating_sub(RESERVED_SIMULATIONS.min(share / 8));
         let descent = search.descend(start, until)?;
         let descent = search.reduce(descent)?;
         let is_best = best

@@ -32,7 +32,7 @@ use crumple_sim::scenario::{Scenario, VehicleSpec};
 pub const ACTIVATION_MPS2: f64 = 2.5;
 
 /// Smallest number of drives with harm for an interval of harm: with fewer, a normal interval is too short.
-const MIN_HARMFUL_DRIVES: u64 = 10;
+const MIN_HARMFUL_DRIVES: usize = 10;
 
 /// Two-sided quantile of the normal distribution at 95 %.
 const NORMAL_QUANTILE: f64 = 1.96;
@@ -73,7 +73,8 @@ pub struct HarmGroup {
 pub struct ControllerHarm {
     /// Name of the controller.
     pub controller: String,
-    /// Drives in which this controller or the reference gave no answer. The other figures leave them out.
+    /// Drives in which this controller gave no answer. The other figures leave them out; those that compare also leave
+    /// out the drives in which the reference gave none.
     pub unanswered: u64,
     /// Drives in which the vehicle under test brakes harder than [`ACTIVATION_MPS2`] before any collision.
     pub activations: u64,
@@ -399,27 +400,35 @@ impl HarmGroup {
     }
 
     fn table(&self, emergencies_per_hour: f64) -> ReportTable {
+        // A controller that never answered has no figures.
+        let drives = self.drives;
+        let shown = |harm: &ControllerHarm, cell: String| {
+            ReportCell::optional((harm.unanswered < drives).then_some(cell))
+        };
         let columns: [ReportColumn<'_, &ControllerHarm>; 9] = [
             ("controller", &|harm| ReportCell::text(&harm.controller)),
-            ("activations", &|harm| ReportCell::number(harm.activations)),
-            ("hits leader (%)", &|harm| percent_cell(harm.ahead_percent)),
-            ("avoided", &|harm| ReportCell::number(harm.avoided)),
-            ("hit from behind (%)", &|harm| {
-                percent_cell(harm.behind_percent)
+            ("activations", &|harm| {
+                shown(harm, harm.activations.to_string())
             }),
-            ("caused", &|harm| ReportCell::number(harm.caused)),
+            ("hits leader (%)", &|harm| {
+                shown(harm, describe_percent(harm.ahead_percent))
+            }),
+            ("avoided", &|harm| shown(harm, harm.avoided.to_string())),
+            ("hit from behind (%)", &|harm| {
+                shown(harm, describe_percent(harm.behind_percent))
+            }),
+            ("caused", &|harm| shown(harm, harm.caused.to_string())),
             ("caused per 100 activations", &|harm| {
-                percent_cell(harm.caused_per_100_activations)
+                shown(harm, describe_percent(harm.caused_per_100_activations))
             }),
             ("harm per 1000 drives", &|harm| {
                 let (mean, margin) = harm.harm_per_1000;
-                ReportCell::number(
-                    margin.map_or_else(|| mean.to_string(), |margin| format!("{mean} ± {margin}")),
-                )
+                let margin = margin.map_or_else(String::new, |margin| format!(" ± {margin}"));
+                shown(harm, format!("{mean}{margin}"))
             }),
             ("harm per hour", &|harm| {
                 let per_drive = harm.harm_per_1000.0.value() / 1000.0;
-                ReportCell::number(format!("{:.2e}", per_drive * emergencies_per_hour))
+                shown(harm, format!("{:.2e}", per_drive * emergencies_per_hour))
             }),
         ];
         ReportTable::from_items(&self.controllers, &columns)
@@ -431,71 +440,67 @@ fn count_answers(answers: &[Option<bool>], wanted: bool) -> u64 {
     matching.count() as u64
 }
 
-/// Formats a share with its bounds.
-fn percent_cell(share: PercentInterval) -> ReportCell {
-    ReportCell::number(format!("{} ({})", share.observed, share.format_bounds()))
+/// Describes a share with its bounds.
+fn describe_percent(share: PercentInterval) -> String {
+    format!("{} ({})", share.observed, share.format_bounds())
 }
 
 impl ControllerHarm {
     /// Summarizes the runs of a controller, each with the run of the reference in the same drive.
     fn new(controller: &str, pairs: &[(&HarmRun, &HarmRun)]) -> Self {
-        let (unanswered, pairs): (Vec<_>, Vec<_>) = pairs
-            .iter()
-            .partition(|(run, reference)| run.is_unanswered || reference.is_unanswered);
-        let pairs = &pairs[..];
         let drives = pairs.len() as u64;
-        let activations = count_pairs(pairs, |run, _| run.activates);
+        let answered: Vec<&HarmRun> = pairs
+            .iter()
+            .map(|(run, _)| *run)
+            .filter(|run| !run.is_unanswered)
+            .collect();
+        let compared: Vec<(&HarmRun, &HarmRun)> = pairs
+            .iter()
+            .copied()
+            .filter(|(run, reference)| !run.is_unanswered && !reference.is_unanswered)
+            .collect();
+        let count = |condition: &dyn Fn(&HarmRun) -> bool| {
+            answered.iter().filter(|run| condition(run)).count() as u64
+        };
+        let count_pairs = |condition: &dyn Fn(&HarmRun, &HarmRun) -> bool| {
+            let pairs = compared.iter();
+            pairs
+                .filter(|(run, reference)| condition(run, reference))
+                .count() as u64
+        };
+        let share = |hits| PercentInterval::clopper_pearson([hits, 0], answered.len() as u64);
+        let causes = [
+            count_pairs(&|run, reference| run.activates && run.causes_collision_behind(reference)),
+            0,
+        ];
         Self {
             controller: controller.to_owned(),
-            unanswered: unanswered.len() as u64,
-            activations,
-            ahead_percent: PercentInterval::clopper_pearson(
-                [count_pairs(pairs, |run, _| run.hits_leader()), 0],
-                drives,
-            ),
-            behind_percent: PercentInterval::clopper_pearson(
-                [count_pairs(pairs, |run, _| run.is_hit_from_behind()), 0],
-                drives,
-            ),
-            avoided: count_pairs(pairs, |run, reference| {
-                !run.hits_leader() && reference.hits_leader()
-            }),
-            caused: count_pairs(pairs, HarmRun::causes_collision_behind),
+            unanswered: drives - answered.len() as u64,
+            activations: count(&|run| run.activates),
+            ahead_percent: share(count(&HarmRun::hits_leader)),
+            behind_percent: share(count(&HarmRun::is_hit_from_behind)),
+            avoided: count_pairs(&|run, reference| !run.hits_leader() && reference.hits_leader()),
+            caused: count_pairs(&HarmRun::causes_collision_behind),
             caused_per_100_activations: PercentInterval::clopper_pearson(
-                [
-                    count_pairs(pairs, |run, reference| {
-                        run.activates && run.causes_collision_behind(reference)
-                    }),
-                    0,
-                ],
-                activations,
+                causes,
+                count_pairs(&|run, _| run.activates),
             ),
-            harm_per_1000: harm_per_1000(pairs),
+            harm_per_1000: harm_per_1000(&answered),
         }
     }
 }
 
 /// Returns the mean harm of 1000 drives, and half of its interval.
-fn harm_per_1000(pairs: &[(&HarmRun, &HarmRun)]) -> (Rounded<3>, Option<Rounded<3>>) {
-    let drives = pairs.len().max(1) as f64;
-    let mean = pairs.iter().map(|(run, _)| run.harm).sum::<f64>() / drives;
-    let squares = pairs.iter().map(|(run, _)| (run.harm - mean).powi(2));
+fn harm_per_1000(runs: &[&HarmRun]) -> (Rounded<3>, Option<Rounded<3>>) {
+    let drives = runs.len().max(1) as f64;
+    let mean = runs.iter().map(|run| run.harm).sum::<f64>() / drives;
+    let squares = runs.iter().map(|run| (run.harm - mean).powi(2));
     let margin = NORMAL_QUANTILE * (squares.sum::<f64>() / drives / drives).sqrt();
-    let has_interval = count_pairs(pairs, |run, _| run.harm > 0.0) >= MIN_HARMFUL_DRIVES;
+    let harmful = runs.iter().filter(|run| run.harm > 0.0).count();
     (
         Rounded::new(1000.0 * mean),
-        has_interval.then(|| Rounded::new(1000.0 * margin)),
+        (harmful >= MIN_HARMFUL_DRIVES).then(|| Rounded::new(1000.0 * margin)),
     )
-}
-
-fn count_pairs(
-    pairs: &[(&HarmRun, &HarmRun)],
-    condition: impl Fn(&HarmRun, &HarmRun) -> bool,
-) -> u64 {
-    pairs
-        .iter()
-        .filter(|(run, reference)| condition(run, reference))
-        .count() as u64
 }
 
 /// File with a line for each run.
@@ -553,7 +558,7 @@ impl HarmReport {
 impl HarmGroup {
     fn describe(&self) -> String {
         let [avoidable, unavoidable, examined] = self.avoidable;
-        let mut text = format!("{} drives.", self.drives);
+        let mut text = describe_drives(self.drives) + ".";
         if examined > 0 {
             let _ = write!(
                 text,
@@ -564,10 +569,19 @@ impl HarmGroup {
         for harm in self.controllers.iter().filter(|harm| harm.unanswered > 0) {
             let _ = write!(
                 text,
-                " `{}`: {} drives are left out, because it or the reference gave no answer.",
-                harm.controller, harm.unanswered
+                " `{}` gave no answer in {}, which its row leaves out.",
+                harm.controller,
+                describe_drives(harm.unanswered)
             );
+        }
+        let reference = self.controllers.first();
+        if reference.is_some_and(|harm| harm.unanswered > 0) {
+            text += " Comparisons with it leave out these drives.";
         }
         text
     }
+}
+
+fn describe_drives(count: u64) -> String {
+    format!("{count} drive{}", if count == 1 { "" } else { "s" })
 }

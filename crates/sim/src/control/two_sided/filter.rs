@@ -252,6 +252,8 @@ impl PlanShapes {
 struct FollowerTracker {
     /// Steps since the trigger, if it has occurred.
     steps: Option<usize>,
+    /// True if the ego vehicle stood at the last observation.
+    stood: bool,
 }
 
 impl FollowerTracker {
@@ -282,10 +284,15 @@ impl FollowerTracker {
                 }
             }
             FollowerTrigger::LeaderBrakes => {
-                // The last step counts if the ego vehicle braked in it. If it only came to a stop, it stands from now.
                 let braked = state.response_mps2 + params.noise_mps2 <= -NOTICED_BRAKE_MPS2;
-                let is_noticed = braked || state.speed_mps[1] <= 0.0;
-                self.steps = is_noticed.then_some(self.steps.unwrap_or(braked.into()));
+                let stands = state.speed_mps[1] <= 0.0;
+                self.steps = match (braked || stands && self.stood, stands) {
+                    (true, _) => Some(self.steps.unwrap_or(1)),
+                    // It came to a stop with less braking, and stands from now on.
+                    (false, true) => Some(0),
+                    (false, false) => None,
+                };
+                self.stood = stands;
             }
         }
     }
