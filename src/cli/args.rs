@@ -23,29 +23,34 @@ pub(super) fn find_built_in_scenario(name: &Path) -> Option<Scenario> {
     built_in_scenario(name.to_str()?)
 }
 
+fn unknown_scenario(path: &Path) -> CliError {
+    let name = path.display();
+    if path
+        .to_str()
+        .is_some_and(|name| built_in_space(name).is_some())
+    {
+        return CliError::Input(format!(
+            "`{name}` is a scenario space: `crumple falsify --space {name}` searches it, and `crumple verify rate \
+             --space {name}` simulates random scenarios of it"
+        ));
+    }
+    let names: Vec<_> = built_in_scenario_names()
+        .iter()
+        .map(|(name, _)| *name)
+        .collect();
+    CliError::Input(format!(
+        "`{name}` is neither a built-in scenario ({}) nor a file",
+        names.join(", ")
+    ))
+}
+
 /// Returns a built-in scenario, or loads one from a file, whose name may be any bytes.
 pub(super) fn load_scenario(path: &Path, controllers: Controllers) -> Result<Scenario, CliError> {
     if let Some(scenario) = find_built_in_scenario(path) {
         return Ok(scenario);
     }
     if path.extension().is_none() && !path.exists() {
-        if let Some(name) = path.to_str()
-            && built_in_space(name).is_some()
-        {
-            return Err(CliError::Input(format!(
-                "`{name}` is a scenario space: `crumple falsify --space {name}` searches it, and `crumple verify rate \
-                 --space {name}` simulates random scenarios of it"
-            )));
-        }
-        let names: Vec<_> = built_in_scenario_names()
-            .iter()
-            .map(|(name, _)| *name)
-            .collect();
-        return Err(CliError::Input(format!(
-            "`{}` is neither a built-in scenario ({}) nor a file",
-            path.display(),
-            names.join(", ")
-        )));
+        return Err(unknown_scenario(path));
     }
     let scenario = file::load(path, &controllers)?;
     // Start the programs that drive in the scenario once, so that a missing one is an error of the scenario. Without

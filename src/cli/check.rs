@@ -130,11 +130,8 @@ impl Check {
                 Err(failure) => others.push((path.display().to_string(), failure)),
             }
         }
-        if self.rerun.is_some()
-            && !certificates
-                .iter()
-                .any(|(_, certificate)| counts_runs(certificate))
-        {
+        let mut counted = certificates.iter().map(|(_, certificate)| certificate);
+        if self.rerun.is_some() && !counted.any(counts_runs) {
             output::note("note: --rerun: no certificate counts runs", quiet);
         }
         let printed = output::print_coloured(self.format, &self.render(&all, &others)?);

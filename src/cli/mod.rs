@@ -175,12 +175,27 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let ready = start_threads(parsed.jobs)
         .and_then(|()| written_files::check(&command, &matches, &opened))
         .and_then(|()| args::try_controllers(quiet));
-    let done = ready.and_then(|()| match parsed.command {
+    let done = ready.and_then(|()| run_command(parsed.command, global));
+    // Results of a controller that contradicted itself count for nothing, whatever the command found.
+    let done = args::ensure_trusted().and(done);
+    args::release_controllers();
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.print();
+            failure.exit_code()
+        }
+    }
+}
+
+/// Runs a subcommand.
+fn run_command(command: CliCommand, global: GlobalOptions) -> Result<(), CliError> {
+    match command {
         CliCommand::Assess(command) => command.run(global),
         CliCommand::Simulate(command) => command.run(global),
         CliCommand::Import(command) => command.run(global),
-        CliCommand::Fit(command) => command.run(quiet),
-        CliCommand::Replay(command) => command.run(quiet),
+        CliCommand::Fit(command) => command.run(global.quiet),
+        CliCommand::Replay(command) => command.run(global.quiet),
         CliCommand::Export(command) => command.run(global),
         CliCommand::Explore(command) => command.run(global),
         CliCommand::Train(command) => command.run(global),
@@ -191,25 +206,15 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::WorstCase(command) => command.run(global),
         CliCommand::Falsify(command) => command.run(global),
         CliCommand::Verify(command) => command.run(global),
-        CliCommand::Suite(command) => command.run(quiet),
+        CliCommand::Suite(command) => command.run(global.quiet),
         CliCommand::Fsck(command) => command.run(),
         CliCommand::List(command) => command.run(),
-        CliCommand::Show(command) => command.run(quiet),
+        CliCommand::Show(command) => command.run(global.quiet),
         CliCommand::Describe(command) => command.run(),
-        CliCommand::New(command) => command.run(quiet),
+        CliCommand::New(command) => command.run(global.quiet),
         CliCommand::Doctor(command) => command.run(),
         CliCommand::Completions(command) => command.run(build_command()),
-        CliCommand::Man(command) => command.run(build_command(), quiet),
-    });
-    // Results of a controller that contradicted itself count for nothing, whatever the command found.
-    let done = args::ensure_trusted().and(done);
-    args::release_controllers();
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            failure.print();
-            failure.exit_code()
-        }
+        CliCommand::Man(command) => command.run(build_command(), global.quiet),
     }
 }
 

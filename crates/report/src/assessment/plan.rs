@@ -641,22 +641,27 @@ impl PlanLoader<'_> {
         self.ensure(runs <= MAX_DRAWS, "rates.runs", || {
             format!("must be at most {MAX_DRAWS}, found {runs}")
         })?;
-        if let Some(harm) = &config.harm {
-            self.ensure(config.draws > 0, "harm", || {
-                "needs random scenarios; `draws` is 0".to_owned()
-            })?;
-            let rate = harm.emergencies_per_hour;
-            self.ensure(
-                (0.0..=3600.0).contains(&rate),
-                "harm.emergencies_per_hour",
-                || format!("must be from 0 to 3600, found {rate}"),
-            )?;
-        }
+        self.check_harm(config)?;
         let confidence = config.rates.confidence;
         self.ensure(
             confidence > 0.5 && confidence < 1.0,
             "rates.confidence",
             || format!("must be between 0.5 and 1, found {confidence}"),
+        )
+    }
+
+    fn check_harm(&self, config: &AssessConfig) -> Result<(), AssessConfigError> {
+        let Some(harm) = &config.harm else {
+            return Ok(());
+        };
+        self.ensure(config.draws > 0, "harm", || {
+            "needs random scenarios; `draws` is 0".to_owned()
+        })?;
+        let rate = harm.emergencies_per_hour;
+        self.ensure(
+            (0.0..=3600.0).contains(&rate),
+            "harm.emergencies_per_hour",
+            || format!("must be from 0 to 3600, found {rate}"),
         )
     }
 

@@ -93,11 +93,7 @@ impl Trace {
         let Some((rear, ahead)) = self.vehicles.get(rear).zip(self.vehicles.get(..rear)) else {
             return Vec::new();
         };
-        // No vehicle ahead of one that never leaves the lane can be a leader.
-        let nearest = ahead
-            .iter()
-            .rposition(|track| track.is_in_lane_throughout(Track::THROUGHOUT_S))
-            .unwrap_or(0);
+        let nearest = last_permanent(ahead);
         let near = &ahead[nearest..];
         let changes_s = lane_change_times_s(near.iter().chain([rear]));
         // A vehicle that leaves at the start was never in the lane.
@@ -160,6 +156,15 @@ impl Trace {
                 .find(|front| front.is_in_lane(time_s))
         })
     }
+}
+
+/// Returns the index of the last vehicle that never leaves the lane, otherwise 0: no vehicle ahead of it can lead those
+/// behind.
+fn last_permanent(ahead: &[Track]) -> usize {
+    let mut tracks = ahead.iter();
+    tracks
+        .rposition(|track| track.is_in_lane_throughout(Track::THROUGHOUT_S))
+        .unwrap_or(0)
 }
 
 /// Returns the distinct times of entries and exits, in order; the first and the last are infinite.

@@ -141,6 +141,21 @@ impl HarmRun {
         }
     }
 
+    /// Returns the columns of the result in the table of runs; empty without an answer.
+    fn result_columns(&self) -> String {
+        if self.is_unanswered {
+            return ",,,,".to_owned();
+        }
+        format!(
+            "{},{},{},{},{}",
+            u8::from(self.activates),
+            number_or_empty(self.impacts_mps[0]),
+            number_or_empty(self.impacts_mps[1]),
+            u8::from(self.is_pushed),
+            self.harm
+        )
+    }
+
     fn has_follower(&self, follower: Option<&str>) -> bool {
         follower.is_none_or(|follower| self.follower == follower)
     }
@@ -341,19 +356,8 @@ fn write_csv(
             run.speed_mps,
             run.friction,
         );
-        let _ = if run.is_unanswered {
-            writeln!(out, ",,,,")
-        } else {
-            writeln!(
-                out,
-                "{},{},{},{},{}",
-                u8::from(run.activates),
-                number_or_empty(run.impacts_mps[0]),
-                number_or_empty(run.impacts_mps[1]),
-                u8::from(run.is_pushed),
-                run.harm
-            )
-        };
+        *out += &run.result_columns();
+        out.push('\n');
     }
 }
 
@@ -448,7 +452,6 @@ fn describe_percent(share: PercentInterval) -> String {
 impl ControllerHarm {
     /// Summarizes the runs of a controller, each with the run of the reference in the same drive.
     fn new(controller: &str, pairs: &[(&HarmRun, &HarmRun)]) -> Self {
-        let drives = pairs.len() as u64;
         let answered: Vec<&HarmRun> = pairs
             .iter()
             .map(|(run, _)| *run)
@@ -459,35 +462,48 @@ impl ControllerHarm {
             .copied()
             .filter(|(run, reference)| !run.is_unanswered && !reference.is_unanswered)
             .collect();
-        let count = |condition: &dyn Fn(&HarmRun) -> bool| {
-            answered.iter().filter(|run| condition(run)).count() as u64
-        };
-        let count_pairs = |condition: &dyn Fn(&HarmRun, &HarmRun) -> bool| {
-            let pairs = compared.iter();
-            pairs
-                .filter(|(run, reference)| condition(run, reference))
-                .count() as u64
-        };
-        let share = |hits| PercentInterval::clopper_pearson([hits, 0], answered.len() as u64);
-        let causes = [
-            count_pairs(&|run, reference| run.activates && run.causes_collision_behind(reference)),
-            0,
-        ];
+        let total = answered.len() as u64;
+        let causes = count_pairs(&compared, |run, reference| {
+            run.activates && run.causes_collision_behind(reference)
+        });
+        let compared_activations = count_pairs(&compared, |run, _| run.activates);
         Self {
             controller: controller.to_owned(),
-            unanswered: drives - answered.len() as u64,
-            activations: count(&|run| run.activates),
-            ahead_percent: share(count(&HarmRun::hits_leader)),
-            behind_percent: share(count(&HarmRun::is_hit_from_behind)),
-            avoided: count_pairs(&|run, reference| !run.hits_leader() && reference.hits_leader()),
-            caused: count_pairs(&HarmRun::causes_collision_behind),
+            unanswered: pairs.len() as u64 - total,
+            activations: count_runs(&answered, |run| run.activates),
+            ahead_percent: PercentInterval::clopper_pearson(
+                [count_runs(&answered, HarmRun::hits_leader), 0],
+                total,
+            ),
+            behind_percent: PercentInterval::clopper_pearson(
+                [count_runs(&answered, HarmRun::is_hit_from_behind), 0],
+                total,
+            ),
+            avoided: count_pairs(&compared, |run, reference| {
+                !run.hits_leader() && reference.hits_leader()
+            }),
+            caused: count_pairs(&compared, HarmRun::causes_collision_behind),
             caused_per_100_activations: PercentInterval::clopper_pearson(
-                causes,
-                count_pairs(&|run, _| run.activates),
+                [causes, 0],
+                compared_activations,
             ),
             harm_per_1000: harm_per_1000(&answered),
         }
     }
+}
+
+fn count_runs(runs: &[&HarmRun], condition: impl Fn(&HarmRun) -> bool) -> u64 {
+    runs.iter().filter(|run| condition(run)).count() as u64
+}
+
+fn count_pairs(
+    pairs: &[(&HarmRun, &HarmRun)],
+    condition: impl Fn(&HarmRun, &HarmRun) -> bool,
+) -> u64 {
+    pairs
+        .iter()
+        .filter(|(run, reference)| condition(run, reference))
+        .count() as u64
 }
 
 /// Returns the mean harm of 1000 drives, and half of its interval.
