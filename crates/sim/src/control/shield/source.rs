@@ -150,3 +150,38 @@ impl ControllerSource for ShieldedSource {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::control::BuiltInController;
+
+    /// A shield is named as it is written, describes itself and its controller, and has an identity of its own.
+    #[test]
+    fn a_shield_states_its_settings_and_its_controller() {
+        let controller = BuiltInController::from_name("idm")
+            .expect("built in")
+            .into_source();
+        let mut identities = BTreeSet::from([controller.identity()]);
+        for (text, kind) in [
+            ("", "a shield"),
+            (",ahead=7", "a shield"),
+            ("2", "a two-sided shield"),
+            ("2,level=3", "a two-sided shield"),
+        ] {
+            let settings = ShieldKind::parse(text).expect("settings");
+            assert_eq!(settings.name_prefix(), format!("shield{text}:"));
+            let shielded = ShieldedSource {
+                controller: Arc::clone(&controller),
+                settings,
+            };
+            let description = format!("with {kind}: {}", controller.description());
+            assert_eq!(shielded.description(), description);
+            assert!(identities.insert(shielded.identity()), "{text}");
+        }
+        assert!(!identities.contains(&None));
+        assert!(ShieldKind::parse("2level=3").is_err());
+    }
+}
