@@ -142,10 +142,6 @@ fn parse_up_to(text: &str, most: f64) -> Result<f64, String> {
 impl InvariantCommand {
     pub(super) fn run(self, global: GlobalOptions) -> Result<(), CliError> {
         let GlobalOptions { quiet, controllers } = global;
-        [&self.certificate, &self.plot]
-            .into_iter()
-            .flatten()
-            .try_for_each(|path| output::resolve_output_path(path).map(drop))?;
         let scenario = args::load_scenario(&self.scenario, controllers)?;
         let plan = InvariantPlan::new(
             self.controller.source.clone(),

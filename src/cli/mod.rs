@@ -151,12 +151,11 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     output::show_logged_warnings();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     regular_file::permit_pipes(named_pipes(&arguments));
-    let command = build_command();
+    let mut command = build_command();
     // Reading an argument also reads the files that a controller file names.
     regular_file::record_opened();
     let matched = command
-        .clone()
-        .try_get_matches_from(&arguments)
+        .try_get_matches_from_mut(&arguments)
         .and_then(|matches| Ok((Cli::from_arg_matches(&matches)?, matches)));
     let opened = regular_file::take_opened();
     let (parsed, matches) = match matched {

@@ -105,12 +105,9 @@ impl Channel {
         self.conversion.apply(raw)
     }
 
-    /// Returns the bits of the value, without conversion; 0 for a channel without bytes.
+    /// Returns the bits of the value of a channel that is not virtual, without conversion.
     pub(super) fn raw(&self, record: &[u8]) -> u64 {
-        match self.kind {
-            RawValueKind::Index => 0,
-            _ => self.bits.get(record),
-        }
+        self.bits.get(record)
     }
 
     /// True if the records have no bytes of the channel.

@@ -335,7 +335,8 @@ impl ChannelReader<'_> {
         let Some(channel) = Channel::read(blocks, block, self.data_bytes, signal_use)? else {
             return Ok(());
         };
-        if frame_part.is_some() && channel.is_virtual() {
+        let is_read = matches!(frame_part, Some("ID" | "IDE" | "DataLength" | "BusChannel"));
+        if is_read && !is_clock && channel.is_virtual() {
             return Err(MdfError::Unsupported(format!(
                 "`{name}` as a virtual channel: frames need its bits in each record"
             )));

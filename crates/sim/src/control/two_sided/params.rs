@@ -16,7 +16,7 @@ pub struct RearErrorBounds {
 pub enum FollowerTrigger {
     /// The time to collision falls below this time at a step, in seconds. The follower then brakes to standstill.
     TimeToCollision(f64),
-    /// The ego vehicle brakes by at least [`NOTICED_BRAKE_MPS2`]. The follower brakes as long as the ego vehicle does.
+    /// The ego vehicle brakes by at least [`NOTICED_BRAKE_MPS2`] or stands. The follower brakes as long as it does so.
     LeaderBrakes,
 }
 
