@@ -184,7 +184,7 @@ mod tests {
             );
         };
         let travel = MotionBounds {
-            position_m: 1e8,
+            position_m: 3e8,
             speed_mps: 30.0,
             ahead_accel_mps2: 2.0,
             steps: 1_000_000,
@@ -192,7 +192,7 @@ mod tests {
         };
         near(
             travel.margin_m(&PARAMS),
-            expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|t| {
+            expected_m(3e8, 30.0, [0.01, 0.03], 2.0, &|t| {
                 4.0 * (t / 0.01 + 3.0) + 1.0
             }),
         );
@@ -202,7 +202,7 @@ mod tests {
         };
         near(
             short.margin_m(&PARAMS),
-            expected_m(1e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0),
+            expected_m(3e8, 30.0, [0.01, 0.03], 2.0, &|_| 100.0),
         );
         let still = MotionBounds {
             position_m: 0.0,
@@ -214,12 +214,12 @@ mod tests {
         let slow = ShieldParams {
             response_fraction: 0.001,
             delay_steps: 0,
-            step_s: 1.0,
+            step_s: 0.5,
             ..PARAMS
         };
         near(
             still.margin_m(&slow),
-            expected_m(0.0, 1e5, [1.0, 999.0], 0.0, &|t| t + 2.0),
+            expected_m(0.0, 1e5, [0.5, 499.5], 0.0, &|t| t / 0.5 + 2.0),
         );
     }
 

@@ -1,6 +1,8 @@
 //! Tests of the shield's admission test against every instant and every behaviour of the leader.
 #![allow(clippy::unwrap_used)]
 
+use std::sync::{Arc, Mutex};
+
 use super::*;
 use crate::control::tests::{EGO, command_behind, leader_observation};
 use crate::control::{BuiltInController, ControllerSource, IntoSource, ShieldKind, ShieldedSource};
@@ -286,6 +288,17 @@ fn a_state_is_outside_the_kernel_below_half_the_margin() {
     }
 }
 
+/// Two vehicles stand half a margin apart, so that the spare gap is exact.
+#[test]
+fn half_a_margin_is_inside_the_kernel() {
+    let frame = slow_step_params();
+    let gap_m = 0.5 * frame.margin_m;
+    assert_eq!(frame.spare_m(state(gap_m, 0.0, 0.0)), gap_m);
+    let mut shield = full_throttle_shield(frame);
+    assert_eq!(command_behind(&mut shield, 0.0, gap_m, 0.0, 0.0), -8.0);
+    assert!(!shield.overrides()[0].outside_kernel);
+}
+
 /// Within the follower's 0.4 s at 20 m/s, the own vehicle brakes at 8 m/s² to 16.8 m/s over 7.36 m.
 #[test]
 fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
@@ -411,6 +424,61 @@ fn only_changed_commands_are_overrides() {
         rear_conflict: false,
     };
     assert_eq!(braking.overrides(), [expected]);
+}
+
+/// Always commands the same, and stores the commands that replace its own.
+struct Constant {
+    wanted_mps2: f64,
+    is_warning: bool,
+    replaced_mps2: Arc<Mutex<Vec<f64>>>,
+}
+
+impl Controller for Constant {
+    fn decide(&mut self, _: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.wanted_mps2)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.replaced_mps2.lock().unwrap().push(command_mps2);
+    }
+
+    fn is_warning(&self) -> bool {
+        self.is_warning
+    }
+}
+
+/// The controller learns of other commands than its own, from the shield and from outside, and the shield warns if it
+/// does. Full braking on its own, inside the kernel by less than the margin, is not reported at all.
+#[test]
+fn a_shield_passes_on_warnings_and_other_commands() {
+    let frame = ShieldParams {
+        delay_steps: 1,
+        ..slow_step_params()
+    };
+    let replaced_mps2 = Arc::<Mutex<Vec<f64>>>::default();
+    let shield = |wanted_mps2: f64, is_warning: bool| {
+        let controller = Constant {
+            wanted_mps2,
+            is_warning,
+            replaced_mps2: Arc::clone(&replaced_mps2),
+        };
+        ShieldedController::new(Box::new(controller), frame)
+    };
+    let replaced = || std::mem::take(&mut *replaced_mps2.lock().unwrap());
+    let mut throttle = shield(3.0, true);
+    let mut braking = shield(-8.0, false);
+    assert!(throttle.is_warning() && !braking.is_warning());
+
+    let near_m = 0.75 * frame.margin_m;
+    assert_eq!(command_behind(&mut throttle, 0.0, near_m, 0.0, 0.0), -8.0);
+    assert_eq!(replaced(), [-8.0]);
+    assert_eq!(command_behind(&mut braking, 0.0, near_m, 0.0, 0.0), -8.0);
+    assert!(!frame.admits(state(near_m, 0.0, 0.0), -8.0));
+    assert!(replaced().is_empty() && braking.overrides().is_empty());
+
+    throttle.record_command(-1.0);
+    assert_eq!(replaced(), [-1.0]);
+    assert!(throttle.commands.pending_mps2().eq([-1.0]));
 }
 
 /// Suites run several seeds of a controller that acts at random, also behind a shield.
