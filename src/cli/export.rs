@@ -145,6 +145,10 @@ impl Export {
                            controller in the other simulator";
             return Err(CliError::Input(problem.to_owned()));
         }
+        if self.what == ExportContent::Actions && self.estimator.is_some() {
+            let problem = "--estimator: applies only to `--as trajectories`";
+            return Err(CliError::Input(problem.to_owned()));
+        }
         Ok(())
     }
 

@@ -83,15 +83,15 @@ pub(super) struct Import {
     /// Print a draft of a map for one recording, from the names, units and consistency of its columns; imports nothing
     #[arg(long, conflicts_with_all = ["map", "preview", "out", "leaders", "min_brake"])]
     guess: bool,
-    /// Vehicles that lead scenarios
-    #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
-    leaders: LeaderSelection,
+    /// Vehicles that lead scenarios [default: any]
+    #[arg(long, value_parser = value_enums::one_of(value_enums::LEADERS))]
+    leaders: Option<LeaderSelection>,
     /// Driver of the vehicle behind those under test, the last of three or more: human (with a reaction time that
     /// differs in each scenario), idm, baseline (holds its speed until the time to collision is below 1.4 s, then
     /// brakes fully), recorded (its speeds; a collision with it does not count against the controller), none, or any
-    /// built-in controller or file
-    #[arg(long, value_name = "NAME|FILE", default_value = "human")]
-    follower: PathBuf,
+    /// built-in controller or file [default: human]
+    #[arg(long, value_name = "NAME|FILE", conflicts_with_all = ["preview", "guess"])]
+    follower: Option<PathBuf>,
     /// Write whole drives of at least 30 s instead of braking episodes: each vehicle behind its leader, with the next
     /// vehicle behind it
     #[arg(long, conflicts_with_all = ["preview", "guess", "min_brake"])]
@@ -211,7 +211,12 @@ impl Import {
         if let Some(file) = self.recordings.iter().find(|path| is_openscenario(path)) {
             let is_alone =
                 self.recordings.len() == 1 && self.map.is_none() && self.preview.is_none();
-            if !is_alone || self.min_brake.is_some() || self.guess || self.whole {
+            let has_options = self.min_brake.is_some()
+                || self.guess
+                || self.whole
+                || self.leaders.is_some()
+                || self.follower.is_some();
+            if !is_alone || has_options {
                 let problem = "give an OpenSCENARIO file alone, with --ego, --distribution, --out and --force only";
                 return Err(CliError::at(file, problem));
             }
@@ -231,7 +236,8 @@ impl Import {
         if let Some(picture) = &self.preview {
             return self.show_preview(picture, map.as_ref(), quiet);
         }
-        let follower = load_follower(&self.follower, global.controllers)?;
+        let follower = self.follower.as_deref().unwrap_or(Path::new("human"));
+        let follower = load_follower(follower, global.controllers)?;
         self.import(map.as_ref(), follower, quiet)
     }
 
@@ -317,7 +323,7 @@ impl Import {
         let min_brake = parse_min_brake(self.min_brake)?;
         let options = ImportOptions {
             min_brake,
-            leaders: self.leaders,
+            leaders: self.leaders.unwrap_or_default(),
             follower,
             scope: self.scope(),
         };

@@ -180,7 +180,9 @@ impl Show {
                 self.name
             ),
             None => format!(
-                "there is no built-in file `{}`. Names: {}",
+                "there is no built-in {} `{}`. Names: {}",
+                self.kind
+                    .map_or_else(|| "file".to_owned(), BuiltInKind::name),
                 self.name,
                 names_by_kind.join("; ")
             ),

@@ -125,6 +125,8 @@ enum RunExpectation {
     Useful,
     /// A collision
     Collision,
+    /// A collision, or a controller that gives no answer
+    Failure,
     /// Every --spec holds
     Satisfied,
     /// Some --spec is violated
@@ -137,6 +139,7 @@ impl RunExpectation {
             Self::Safe => rendered.is_safe(),
             Self::Useful => rendered.is_safe() && rendered.is_useful,
             Self::Collision => rendered.collided,
+            Self::Failure => rendered.collided || !rendered.is_answered(),
             Self::Satisfied => !rendered.findings.violated,
             Self::Violated => rendered.findings.violated,
         }
@@ -144,9 +147,12 @@ impl RunExpectation {
 
     fn description(self) -> &'static str {
         match self {
-            Self::Safe => "no collision",
-            Self::Useful => "no collision, no unnecessary braking and no vehicle that falls behind",
+            Self::Safe => "no collision, and answers of every controller",
+            Self::Useful => {
+                "no collision, answers of every controller, no unnecessary braking and no vehicle that falls behind"
+            }
             Self::Collision => "a collision",
+            Self::Failure => "a collision or a controller without an answer",
             Self::Satisfied => "every specification to hold",
             Self::Violated => "a violated specification",
         }
@@ -164,6 +170,10 @@ struct RenderedRun {
 impl RenderedRun {
     fn is_safe(&self) -> bool {
         self.findings.end == RunEnd::NoCollision
+    }
+
+    fn is_answered(&self) -> bool {
+        self.findings.end != RunEnd::ControllerFailed
     }
 }
 
@@ -251,7 +261,11 @@ impl Simulate {
         let findings: Vec<_> = results.iter().map(|result| result.findings).collect();
         let mut total = RunTotal::new(&findings, !self.spec.is_empty());
         if let Some(plant) = self.plant {
-            total = total.with_plant(plant, results.iter().map(|result| result.collided));
+            // Whether a run without an answer would have had a collision later is unknown.
+            let decided = results
+                .iter()
+                .filter(|result| result.collided || result.is_answered());
+            total = total.with_plant(plant, decided.map(|result| result.collided));
         }
         match self.format {
             OutputFormat::Text => Ok(total.to_text(&self.controller.name, self.estimator.name())),

@@ -98,14 +98,14 @@ impl CountedBlock {
             }
             match endings.as_slice() {
                 [run] if run.failed => block.failures += 1,
-                [first, second] if first.failed && second.failed => block.failures += 1,
-                [first, second] if first.failed && !second.failed => block.only_first_failed += 1,
-                // A second controller without an answer is not known to be worse.
-                [first, second]
-                    if !first.failed && second.failed && second.failure_reason.is_none() =>
-                {
-                    block.only_second_failed += 1;
-                }
+                // A second controller without an answer is not known to be worse: such a run does not count.
+                [_, second] if second.failure_reason.is_some() => {}
+                [first, second] => match (first.failed, second.failed) {
+                    (true, true) => block.failures += 1,
+                    (true, false) => block.only_first_failed += 1,
+                    (false, true) => block.only_second_failed += 1,
+                    (false, false) => {}
+                },
                 _ => {}
             }
         }

@@ -67,7 +67,7 @@ pub struct DriveComfort {
     pub unnecessary_braking: EventRate,
     /// Number of drives with such braking.
     pub unnecessary_braking_drives: u64,
-    /// Number of drives with braking above 4 m/s².
+    /// Number of drives with an answer and braking above 4 m/s².
     pub hard_braking_drives: u64,
     /// Root mean square of the jerk, in m/s³; mean of the drives.
     pub rms_jerk_mps3: Option<f64>,
@@ -97,12 +97,21 @@ impl DriveComfort {
         }
     }
 
-    /// Summarises the drives of a controller.
+    /// Summarises the drives of a controller. Those without an answer are no evidence about its comfort; hours,
+    /// kilometres and events include them.
     fn from_runs(runs: &[DriveRun]) -> Self {
-        Self::new(runs.iter().map(|run| {
-            let [counted, _] = run.unnecessary_by_cause();
+        let driven = |run| {
+            let [counted, _] = DriveRun::unnecessary_by_cause(run);
             (&run.drive, counted)
-        }))
+        };
+        let answered = Self::new(runs.iter().filter(|run| run.is_answered()).map(driven));
+        Self {
+            hard_braking_drives: answered.hard_braking_drives,
+            rms_jerk_mps3: answered.rms_jerk_mps3,
+            rms_jerk_sampled_mps3: answered.rms_jerk_sampled_mps3,
+            time_gap_s: answered.time_gap_s,
+            ..Self::new(runs.iter().map(driven))
+        }
     }
 
     /// Summarises the recorded cars in the places of the vehicles under test.
@@ -223,7 +232,11 @@ impl DriveReport {
                 .count() as u64,
             without_vehicle_behind: drives.without_vehicle_behind() as u64,
             far_behind_leader: drives.far_behind_leader() as u64,
-            rms_spacing_error_m: mean(runs.iter().map(|run| run.rms_spacing_error_m)),
+            rms_spacing_error_m: mean(
+                runs.iter()
+                    .filter(|run| run.is_answered())
+                    .map(|run| run.rms_spacing_error_m),
+            ),
             recorded: DriveComfort::of_recorded_cars(drives),
         }
     }
@@ -291,17 +304,19 @@ impl DriveReport {
             "  {:<24} {:>14} {:>14} {:>14} {:>20}\n",
             "", "rms jerk m/s³", "as recorded", "time gap s", "drives above 4 m/s²"
         );
+        let is_answered = self.no_answer < self.comfort.drives;
         let rows = [
-            (name.as_str(), &self.comfort),
-            ("recorded cars", &self.recorded),
+            (name.as_str(), &self.comfort, is_answered),
+            ("recorded cars", &self.recorded, true),
         ];
-        for (name, comfort) in rows {
+        for (name, comfort, is_answered) in rows {
+            let hard = is_answered.then(|| comfort.hard_braking_drives.to_string());
             text += &format!(
                 "  {name:<24} {:>14} {:>14} {:>14} {:>20}\n",
                 format_or_hyphen(comfort.rms_jerk_mps3, 2),
                 format_or_hyphen(comfort.rms_jerk_sampled_mps3, 2),
                 format_or_hyphen(comfort.time_gap_s, 2),
-                comfort.hard_braking_drives
+                hard.as_deref().unwrap_or("-")
             );
         }
         if let Some(error_m) = self.rms_spacing_error_m {

@@ -8,7 +8,7 @@ use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_measure::{CollisionRole, DriveSeries, UsefulnessMeasures, is_far_behind};
 use crumple_sim::engine::{
     Collision, FailedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult,
-    simulate_batch,
+    Trace, simulate_batch,
 };
 use crumple_sim::scenario::file;
 use crumple_sim::scenario::{InvalidField, OpenDriver, Scenario};
@@ -322,6 +322,12 @@ pub struct DriveRun {
 }
 
 impl DriveRun {
+    /// False if the drive ended because the controller gave no answer.
+    #[must_use]
+    pub fn is_answered(&self) -> bool {
+        !matches!(self.end, DriveEnd::NoAnswer(_))
+    }
+
     /// True if the drive reached the end of the recording.
     #[must_use]
     pub fn is_complete(&self) -> bool {
@@ -365,6 +371,10 @@ impl DriveRun {
         let exact = trace
             .and_then(|trace| UsefulnessMeasures::from_trace(trace, &simulated.impacts, *tested));
         let sampled = MeasuredDrive::from_series(&series);
+        let [duration_s, distance_m] = trace
+            .zip(end_s)
+            .and_then(|(trace, end_s)| exposure_until(trace, *tested, end_s))
+            .unwrap_or([sampled.duration_s, sampled.distance_m]);
         let summary = simulated.vehicles.get(*tested);
         Self {
             name: drive.name().to_owned(),
@@ -372,6 +382,8 @@ impl DriveRun {
             drive: MeasuredDrive {
                 peak_brake_mps2: summary.map_or(0.0, |vehicle| vehicle.max_brake_mps2),
                 measures: exact.unwrap_or(sampled.measures),
+                duration_s,
+                distance_m,
                 ..sampled
             },
             rms_spacing_error_m: recorded
@@ -379,6 +391,22 @@ impl DriveRun {
             brakes_only_with_vehicle_behind: false,
         }
     }
+}
+
+/// Returns the time in seconds and the distance in metres of a vehicle until a time of its run.
+fn exposure_until(trace: &Trace, vehicle: usize, end_s: f64) -> Option<[f64; 2]> {
+    let track = trace.vehicles.get(vehicle)?;
+    let start_m = track.position_m.first()?;
+    let after = trace.time_s.partition_point(|time_s| *time_s < end_s);
+    let last_m = match track.position_m.get(after) {
+        Some(after_m) if after > 0 => {
+            let [before_s, after_s] = [*trace.time_s.get(after - 1)?, *trace.time_s.get(after)?];
+            let before_m = track.position_m.get(after - 1)?;
+            before_m + (after_m - before_m) * (end_s - before_s) / (after_s - before_s)
+        }
+        _ => *track.position_m.last()?,
+    };
+    Some([end_s, last_m - start_m])
 }
 
 impl DriveEnd {

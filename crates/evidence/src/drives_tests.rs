@@ -117,7 +117,7 @@ fn collisions_count_by_their_cause() {
         })
         .sum();
     assert!(
-        (3600.0 * report.comfort.hours - ends_s).abs() < 0.3,
+        (3600.0 * report.comfort.hours - ends_s).abs() < 1e-6,
         "{report:?}"
     );
     // Garwood's interval of one event.

@@ -97,7 +97,9 @@ impl DriveSeries {
     /// Returns the part of the drive until a time, in seconds.
     #[must_use]
     pub fn until(mut self, end_s: f64) -> Self {
-        let count = ((end_s / self.interval_s).max(0.0) as usize).saturating_add(1);
+        // 0.3 / 0.1 is less than 3.
+        let intervals = (end_s / self.interval_s + 1e-6).max(0.0);
+        let count = (intervals as usize).saturating_add(1);
         self.leader_mps.truncate(count);
         self.gap_m.truncate(count);
         self.speed_mps.truncate(count);
@@ -212,6 +214,13 @@ mod tests {
         assert!((series.duration_s() - 20.0).abs() < 1e-9);
         // 120 m + 20 * 3 - 9 m + 14 * 11 m.
         assert!((series.distance_m() - (120.0 + 51.0 + 154.0)).abs() < 0.1);
+        for samples in 0..200 {
+            let end_s = 0.1 * f64::from(samples);
+            assert_eq!(
+                series.clone().until(end_s).gap_m.len(),
+                samples as usize + 1
+            );
+        }
         let MeasuredSeries {
             usefulness: alike,
             peak_brake_mps2,

@@ -167,7 +167,7 @@ impl RunTotal {
         if let Some(PlantCollisions { plant, share }) = &self.plant_collisions {
             text += &format!(
                 "{plant}: {}\n",
-                share.describe("scenarios have a collision")
+                share.describe("scenarios whose controllers answer have a collision")
             );
         }
         text

@@ -400,7 +400,11 @@ impl FailedPoint {
         controller: &str,
         estimator: EstimatorKind,
     ) -> Option<String> {
-        let path = folder.join(format!("{}.toml", self.scenario_name));
+        let mut path = folder.join(format!("{}.toml", self.scenario_name));
+        // A path that begins with a hyphen would be an option.
+        if path.to_str()?.starts_with('-') {
+            path = Path::new(".").join(path);
+        }
         let controller = self.with_test_driver(controller);
         Some(format!(
             "crumple simulate {} --controller {} --estimator {}",

@@ -282,7 +282,10 @@ fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
     let collided = run("paper-1 --expect safe --format json");
     assert_eq!(
         (exit_code(&collided), stderr(&collided)),
-        (1, "failed: expected no collision in paper-1\n")
+        (
+            1,
+            "failed: expected no collision, and answers of every controller in paper-1\n"
+        )
     );
     assert_eq!(
         json_objects(&collided).len(),
@@ -318,7 +321,8 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     };
     assert_eq!(exit_code(&run("random-actions", "--expect safe")), 0);
     let output = run("random-actions", "--expect useful");
-    let message = "failed: expected no collision, no unnecessary braking and no vehicle that falls behind in quiet\n";
+    let message = "failed: expected no collision, answers of every controller, no unnecessary braking and no vehicle \
+                   that falls behind in quiet\n";
     assert_eq!(stderr(&output), message);
     assert_prints(
         &output,

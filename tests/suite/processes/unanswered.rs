@@ -254,6 +254,13 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
             .is_some_and(|failures| failures > 0),
         "{tally}"
     );
+    // Where the second gives no answer, a failure of the first is not one of both.
+    let earlier = fs::read_to_string(folder.path().join("near.toml")).unwrap();
+    let earlier = earlier.replace("24", "33");
+    fs::write(folder.path().join("earlier.toml"), earlier).unwrap();
+    let (_, tally) = count("near.toml", Some("earlier.toml"), "0.6");
+    let counted = ["failures", "only_first_failed", "only_second_failed"].map(|name| &tally[name]);
+    assert_eq!(counted, [&Value::from(0); 3], "{tally}");
     let ((_, _, error), tally) = count("near.toml", Some("idm"), "0.9");
     assert!(
         tally["only_first_failed"]
@@ -448,6 +455,12 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
         (&Value::from(0), &Value::from(2)),
         "{own}"
     );
+    // Drives without an answer are no hours without unnecessary braking.
+    assert_eq!(
+        own["unnecessary_braking_rates"],
+        serde_json::json!([]),
+        "{own}"
+    );
     assert_eq!(
         own["oscillation_gain"]["unanswered"]["runs"], own["oscillation_gain"]["points"],
         "{own}"
@@ -538,6 +551,33 @@ fn a_worst_case_without_an_answer_has_no_margin() {
         (&report["margin_m"], &report["method"], &report["found"]),
         (&Value::Null, &Value::Null, &true.into())
     );
+}
+
+/// A controller that gives no answer causes no collision, and is not run again with each fault.
+#[test]
+fn sensor_faults_of_a_controller_without_an_answer_are_not_searched() {
+    let folder = controllers_folder();
+    let attack = "worst-case paper-1 --controller near.toml --attack sensors --out w.toml";
+    let (code, text, error) = run_and_capture(folder.path(), attack);
+    for part in [
+        "CONTROLLER FAILED and gave no answer in 1 of 1 simulations; the first: ",
+        "gap table: index",
+        "no fault was simulated",
+    ] {
+        assert!(text.contains(part), "{text}{error}");
+    }
+    assert!(
+        !text.contains("collision") && !folder.path().join("w.toml").exists(),
+        "{code}: {text}"
+    );
+    let (_, text, _) = run_and_capture(
+        folder.path(),
+        &attack.replace("--out w.toml", "--format json"),
+    );
+    let report: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(report["missing_answers"]["runs"], 1, "{report}");
+    assert_eq!(report["mildest_collision"], Value::Null, "{report}");
+    assert_eq!(report["fails_without_fault"], true, "{report}");
 }
 
 /// The error for a program, or for its source, explains how to name it.

@@ -163,6 +163,46 @@ fn the_mildest_profile_is_no_rougher_than_that_of_least_peak() {
     }
 }
 
+/// ∫ a² ends where the leader stands or a collision happens, as in the trace.
+#[test]
+fn the_effort_is_that_of_the_leader_and_not_of_its_script() {
+    for (name, controller) in [
+        ("paper-1", "idm"),
+        ("paper-1", "baseline"),
+        ("paper-2", "idm"),
+    ] {
+        let scenario = built_in_scenario(name).expect("built in");
+        let envelope = Envelope::from_scenario(&scenario);
+        let attack = find_attack(
+            &scenario,
+            &options(controller),
+            AttackObjective::Severest,
+            envelope,
+            300,
+        )
+        .expect("a profile");
+        let run = Run::new(&attack.scenario, options(controller)).expect("a run");
+        let result = simulate(&run, RecordingLevel::Trace);
+        let end_s = result
+            .outcome
+            .collision()
+            .map_or(f64::INFINITY, |collision| collision.time_s);
+        let trace = result.trace.expect("recorded");
+        let steps = trace
+            .time_s
+            .windows(2)
+            .zip(&trace.vehicles[0].acceleration_mps2);
+        let effort_m2ps3: f64 = steps
+            .map(|(times_s, a)| a * a * (times_s[1].min(end_s) - times_s[0]).max(0.0))
+            .sum();
+        let scale = 1.0 + effort_m2ps3;
+        assert!(
+            (attack.effort_m2ps3 - effort_m2ps3).abs() < 0.01 * scale,
+            "{name}, {controller}: {effort_m2ps3}"
+        );
+    }
+}
+
 #[test]
 fn a_jerk_without_bounds_is_none() {
     let scenario = built_in_scenario("paper-1").unwrap();

@@ -62,6 +62,22 @@ pub enum FitError {
         /// Reason of the failure.
         why: FamilyFitError,
     },
+    /// No family describes the values of a feature beside those of its point mass.
+    #[error(
+        "{name}: {count} of {all} values are {at}, and a distribution of the others needs two different ones: {why}"
+    )]
+    NoFamilyBesidePoint {
+        /// Name of the feature.
+        name: String,
+        /// Value of the point mass.
+        at: f64,
+        /// Number of episodes with this value.
+        count: u64,
+        /// Number of episodes.
+        all: usize,
+        /// Reason of the failure, for the other values.
+        why: FamilyFitError,
+    },
     /// The fitted space is invalid.
     #[error("the fitted space is invalid: {0}")]
     Space(#[from] InvalidSpace),

@@ -52,6 +52,9 @@ pub enum FamilyFitError {
     /// The family has positive values only.
     #[error("needs values above 0, found {0}")]
     NotPositive(f64),
+    /// There is no value.
+    #[error("there is no value")]
+    NoValue,
     /// All values are equal.
     #[error("all values are {0}")]
     Constant(f64),
@@ -99,6 +102,9 @@ impl DistributionFamily {
     /// # Errors
     /// [`FamilyFitError`] if the family cannot describe the values.
     pub fn fit(self, values: &[f64], range: [f64; 2]) -> Result<FamilyFit, FamilyFitError> {
+        if values.is_empty() {
+            return Err(FamilyFitError::NoValue);
+        }
         let (smallest, largest) = min_max(values);
         if smallest >= largest {
             return Err(FamilyFitError::Constant(smallest));

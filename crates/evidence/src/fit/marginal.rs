@@ -91,7 +91,19 @@ impl FittedMarginal {
             None => values,
         };
         let families =
-            FamilyRanking::fit(&parameter.name, others, [parameter.low, parameter.high])?;
+            FamilyRanking::fit(others, [parameter.low, parameter.high]).map_err(|why| {
+                let name = parameter.name.clone();
+                match point {
+                    None => FitError::NoFamily { name, why },
+                    Some(PointFit { at, count, .. }) => FitError::NoFamilyBesidePoint {
+                        name,
+                        at,
+                        count,
+                        all: values.len(),
+                        why,
+                    },
+                }
+            })?;
         Ok(Self::Continuous(Box::new(ContinuousMarginal {
             families,
             point,
@@ -120,7 +132,7 @@ pub(super) struct FamilyRanking {
 }
 
 impl FamilyRanking {
-    pub(super) fn fit(name: &str, values: &[f64], range: [f64; 2]) -> Result<Self, FitError> {
+    pub(super) fn fit(values: &[f64], range: [f64; 2]) -> Result<Self, FamilyFitError> {
         let mut fits = Vec::new();
         let mut impossible = Vec::new();
         for family in DistributionFamily::ALL {
@@ -134,10 +146,7 @@ impl FamilyRanking {
         let why = impossible
             .first()
             .map_or(FamilyFitError::NoMaximum, |(_, why)| *why);
-        let chosen = fits.next().ok_or_else(|| FitError::NoFamily {
-            name: name.to_owned(),
-            why,
-        })?;
+        let chosen = fits.next().ok_or(why)?;
         Ok(Self {
             chosen,
             others: fits.collect(),

@@ -128,14 +128,10 @@ fn intervals_contain_the_parameters_of_known_distributions() {
 fn the_family_that_values_were_drawn_from_is_chosen_most_often() {
     for (distribution, family, _, range) in known_distributions() {
         let chosen = |trial: u64| {
-            FamilyRanking::fit(
-                family.name(),
-                &draw_values(&distribution, 1000, 1000 + trial),
-                range,
-            )
-            .unwrap()
-            .chosen
-            .family
+            FamilyRanking::fit(&draw_values(&distribution, 1000, 1000 + trial), range)
+                .unwrap()
+                .chosen
+                .family
         };
         let right = (0..40).filter(|&trial| chosen(trial) == family).count();
         println!("{}: chosen in {right} of 40", family.name());
@@ -283,6 +279,23 @@ distribution.choice = { values = [4.5, 12.0], weights = [3.0, 1.0] }
 parameters = ["friction", "ahead_m", "size_m"]
 correlation = [[1.0, 0.6, -0.5], [0.6, 1.0, 0.3], [-0.5, 0.3, 1.0]]
 "#;
+
+/// If all values but at most one are that of the point mass, the error states how many are.
+#[test]
+fn a_point_mass_without_two_other_values_is_an_error_that_counts_them() {
+    let space = file::from_toml(WITH_POINTS, Path::new("points.toml"), &NoDriverFiles).unwrap();
+    for (others, why) in [(0, "there is no value"), (1, "all values are 0.7")] {
+        let mut observed = observe_draws(&space, 30, 0);
+        observed.parameters[0].values = vec![0.3; 30];
+        observed.parameters[0].values[..others].fill(0.7);
+        let error = refit(space.spec(), &observed).unwrap_err().to_string();
+        let count = 30 - others;
+        let expected = format!(
+            "friction: {count} of 30 values are 0.3, and a distribution of the others needs two different ones: {why}"
+        );
+        assert_eq!(error, expected);
+    }
+}
 
 #[test]
 fn point_masses_and_sizes_are_recovered_with_their_dependence() {

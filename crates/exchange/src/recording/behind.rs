@@ -4,8 +4,8 @@ use super::consistency::{Comparison, Hypothesis};
 use super::dropped::DroppedItem;
 use super::error::RecordingError;
 use super::map::{BehindSpec, LengthUnit, RecordingMapSpec, SpeedUnit};
-use super::pairs::{find_relative_speed, find_spacing, find_speed, possible_speed};
-use super::series::Series;
+use super::pairs::{find_relative_speed, find_spacing, find_speed};
+use super::series::{ColumnQuantity, Series, ValueCheck};
 use super::table::{CsvRow, RowReader};
 
 /// Columns of the gap to the vehicle behind and of its speed.
@@ -15,6 +15,8 @@ pub(super) struct BehindReader {
     gap: Series,
     speed: Option<Series>,
     relative: Option<Series>,
+    /// Speeds that follow from the relative speed.
+    derived: ValueCheck,
     /// Changes of the gap against the speeds that change it.
     comparison: Comparison,
 }
@@ -33,6 +35,7 @@ impl BehindReader {
             gap: find_spacing(names, &spec.spacing)?,
             speed: find_speed(names, spec.speed.as_ref())?,
             relative: find_relative_speed(names, spec.relative_speed.as_ref())?,
+            derived: ValueCheck::new(ColumnQuantity::Speed),
             comparison: Comparison::default(),
         })
     }
@@ -54,8 +57,9 @@ impl BehindReader {
             (None, Some(relative)) => {
                 let relative_mps = relative.read(row)?;
                 let speeds = ahead_mps.zip(relative_mps);
-                let speed_mps =
-                    speeds.and_then(|(ahead, relative)| possible_speed(ahead - relative));
+                let speed_mps = speeds.and_then(|(ahead, relative)| {
+                    self.derived.possible(row.line, ahead - relative)
+                });
                 (speed_mps, relative_mps.map(|relative| [relative, 0.0]))
             }
             (None, None) => (None, None),
@@ -81,9 +85,11 @@ impl BehindReader {
     ) -> Result<(), RecordingError> {
         let columns = [Some(&self.gap), self.speed.as_ref(), self.relative.as_ref()];
         for series in columns.into_iter().flatten() {
-            series.ensure_possible(table.path(), table.samples)?;
+            series.ensure_possible(table.path())?;
             series.report(table.path(), table.samples, dropped);
         }
+        let name = "the speed of the vehicle behind";
+        self.derived.report(table.path(), name, dropped);
         Ok(())
     }
 

@@ -57,6 +57,8 @@ mod series;
 #[cfg(feature = "mdf")]
 mod signal_rows;
 mod spill;
+#[cfg(test)]
+mod standing_tests;
 mod table;
 mod target_switches;
 #[cfg(test)]

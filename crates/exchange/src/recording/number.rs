@@ -145,14 +145,22 @@ impl NumberMarks {
     }
 }
 
+/// Characters between date and time.
+const DATE_END: [char; 2] = ['T', ' '];
+
 /// Parses an ISO 8601 time stamp, such as `2026-03-01T12:00:00.5+01:00`, or a time of day. Returns the seconds since
 /// 1970, or since midnight; without time zone the date is taken for UTC.
 pub(super) fn parse_iso_s(text: &str) -> Option<f64> {
-    match text.split_once(['T', ' ']) {
+    match text.split_once(DATE_END) {
         Some((date, time)) => parse_time_s(days_since_1970(date)?, time.trim_start()),
-        None if text.contains(':') => parse_time_s(0, text),
+        None if is_time_of_day(text) => parse_time_s(0, text),
         None => None,
     }
+}
+
+/// Returns whether a text that [`parse_iso_s`] reads has no date.
+pub(super) fn is_time_of_day(text: &str) -> bool {
+    text.contains(':') && !text.contains(DATE_END)
 }
 
 /// Parses a time with its zone on a day. Returns the seconds since day 0.

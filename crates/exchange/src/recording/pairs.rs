@@ -19,7 +19,7 @@ use super::map::{
     SpeedSpec, SpeedUnit,
 };
 use super::parts::{PART_ROWS, PartBounds, PartSink};
-use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
+use super::series::{Clock, ColumnQuantity, Series, ValueCheck, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
 use super::target_switches::PairSamples;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
@@ -63,6 +63,12 @@ pub(super) fn read(
     for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
         series.report(table.path(), table.samples, &mut dropped);
     }
+    for (check, name) in [
+        (&events.derived_leader, "the leader's speed"),
+        (&events.derived_follower, "the follower's speed"),
+    ] {
+        check.report(table.path(), name, &mut dropped);
+    }
     if let Some(behind) = &events.behind {
         behind.report(table, &mut dropped)?;
     }
@@ -95,6 +101,9 @@ pub(super) struct EventReader<'m> {
     pub(super) follower: Option<Series>,
     pub(super) relative: Option<Series>,
     pub(super) leader: Option<Series>,
+    /// Speeds of the leader and of the follower that follow from the other one and the relative speed.
+    derived_leader: ValueCheck,
+    derived_follower: ValueCheck,
     pub(super) behind: Option<BehindReader>,
     contradictions: Option<DroppedItem>,
     /// Changes of the gap against closing speeds, and closing speeds against both speeds.
@@ -135,6 +144,8 @@ impl<'m> EventReader<'m> {
             follower: find_speed(names, pairs.follower_speed.as_ref())?,
             relative: find_relative_speed(names, pairs.relative_speed.as_ref())?,
             leader: find_speed(names, pairs.leader_speed.as_ref())?,
+            derived_leader: ValueCheck::new(ColumnQuantity::Speed),
+            derived_follower: ValueCheck::new(ColumnQuantity::Speed),
             behind: pairs
                 .behind
                 .as_ref()
@@ -266,10 +277,14 @@ impl<'m> EventReader<'m> {
         } = speeds;
         match (follower_mps, relative_mps, leader_mps) {
             (Some(follower), Some(relative), None) => {
-                [Some(follower), possible_speed(follower + relative)]
+                let leader_mps = follower + relative;
+                let leader_mps = self.derived_leader.possible(row.line, leader_mps);
+                [Some(follower), leader_mps]
             }
             (None, Some(relative), Some(leader)) => {
-                [possible_speed(leader - relative), Some(leader)]
+                let follower_mps = leader - relative;
+                let follower_mps = self.derived_follower.possible(row.line, follower_mps);
+                [follower_mps, Some(leader)]
             }
             (Some(follower), Some(relative), Some(leader)) => {
                 let error_mps = (relative - (leader - follower)).abs();
@@ -476,10 +491,6 @@ impl PairSpeeds {
                 .map(|(leader, follower)| [leader, -follower]),
         }
     }
-}
-
-pub(super) fn possible_speed(speed_mps: f64) -> Option<f64> {
-    Some(speed_mps).filter(|speed_mps| ColumnQuantity::Speed.allows(*speed_mps))
 }
 
 /// Reads the value of a column, if there is one.

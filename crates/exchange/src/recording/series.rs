@@ -6,7 +6,7 @@ use std::path::Path;
 use super::dropped::{CHECK_UNIT, DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{ClockSpec, ColumnUnit, TimeSpec, TimeUnit};
-use super::number::parse_iso_s;
+use super::number::{is_time_of_day, parse_iso_s};
 use super::table::{CsvColumn, CsvRow, excerpt};
 use crumple_core::digits::{format_fixed, format_number};
 
@@ -14,12 +14,15 @@ use crumple_core::digits::{format_fixed, format_number};
 const MAX_TIME_S: f64 = 1e10;
 /// A time that is earlier than the last by more is no late row, in seconds.
 const MIN_RESTART_S: f64 = 1.0;
+const DAY_S: f64 = 86_400.0;
 /// Largest gap within a platoon, in metres; vehicles further apart do not follow.
 const MAX_GAP_M: f64 = 1000.0;
 /// Largest speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
 /// Speeds above are reported, because their unit may be wrong, in m/s.
 pub(super) const MAX_USUAL_SPEED_MPS: f64 = 50.0;
+/// Speeds against the direction of travel up to this are noise of a standing vehicle, or it rolls back, in m/s.
+pub(super) const STANDING_NOISE_MPS: f64 = 0.3;
 /// Part of the sentence about rows that are not in the order of time.
 pub(super) const NOT_LATER: &str =
     " rows are not later than the row before and were left out, the first one here";
@@ -42,6 +45,9 @@ pub(super) struct Clock {
     restarts: Option<DroppedItem>,
     format: ClockFormat,
     is_first: bool,
+    /// Number of midnights so far, if rows have times of day, and the last time, with these days.
+    midnights: u32,
+    last_read_s: Option<f64>,
 }
 
 /// Format of the times of a column.
@@ -81,6 +87,8 @@ impl Clock {
             restarts: None,
             format,
             is_first: true,
+            midnights: 0,
+            last_read_s: None,
         })
     }
 
@@ -126,6 +134,7 @@ impl Clock {
         let text = row.text(self.column.index);
         if self.format == ClockFormat::Iso && !text.is_empty() {
             return match parse_iso_s(text) {
+                Some(time_s) if is_time_of_day(text) => Ok(self.after_midnights_s(time_s)),
                 Some(time_s) => Ok(time_s),
                 None => row.reject(
                     &self.column.name,
@@ -146,6 +155,19 @@ impl Clock {
             ),
             Some(time_s) => Ok(time_s),
         }
+    }
+
+    /// Adds a day to a time of day for each midnight: a time that is half a day or more before the last one is after
+    /// midnight. If rows go back by half a day or more, for example to the start of another vehicle, so does the day.
+    fn after_midnights_s(&mut self, of_day_s: f64) -> f64 {
+        let time_s = |midnights: u32| of_day_s + DAY_S * f64::from(midnights);
+        let last_s = self.last_read_s.unwrap_or(of_day_s);
+        if time_s(self.midnights) <= last_s - 0.5 * DAY_S {
+            self.midnights += 1;
+        } else if self.midnights > 0 && time_s(self.midnights) >= last_s + 0.5 * DAY_S {
+            self.midnights -= 1;
+        }
+        *self.last_read_s.insert(time_s(self.midnights))
     }
 
     /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
@@ -208,7 +230,7 @@ impl ColumnQuantity {
     /// Returns how far a value is out of range; 0 within it.
     fn excess(self, value: f64) -> f64 {
         match self {
-            Self::Speed if round_to_milli(value) < 0.0 => -value,
+            Self::Speed if value < -STANDING_NOISE_MPS => -value,
             Self::Speed => (value - MAX_SPEED_MPS).max(0.0),
             Self::SignedSpeed => (value.abs() - MAX_SPEED_MPS).max(0.0),
             // A gap that rounds to 0 would be a collision in the scenario.
@@ -225,31 +247,19 @@ impl ColumnQuantity {
 /// Column under construction, with counts of missing and impossible values.
 pub(super) struct Series {
     pub(super) column: CsvColumn,
-    quantity: ColumnQuantity,
     pub(super) values: Vec<Option<f64>>,
     /// Line of the first missing value, and number of missing values.
     missing: Option<(u64, usize)>,
-    impossible: Option<ImpossibleValues>,
-    /// Line of the first unusual speed, and the largest speed.
-    unusual: Option<(u64, f64)>,
-}
-
-struct ImpossibleValues {
-    first_line: u64,
-    last_line: u64,
-    count: usize,
-    worst: f64,
+    check: ValueCheck,
 }
 
 impl Series {
     pub(super) fn new(column: CsvColumn, quantity: ColumnQuantity) -> Self {
         Self {
             column,
-            quantity,
             values: Vec::new(),
             missing: None,
-            impossible: None,
-            unusual: None,
+            check: ValueCheck::new(quantity),
         }
     }
 
@@ -268,93 +278,146 @@ impl Series {
             self.missing.get_or_insert((row.line, 0)).1 += 1;
             return Ok(None);
         };
-        if self.quantity.allows(value) {
-            let is_speed = matches!(
-                self.quantity,
-                ColumnQuantity::Speed | ColumnQuantity::SignedSpeed
-            );
-            if is_speed && value.abs() > MAX_USUAL_SPEED_MPS {
-                let unusual = self.unusual.get_or_insert((row.line, 0.0));
-                unusual.1 = unusual.1.max(value.abs());
-            }
-            // At standstill, noise makes speeds negative by less than half a millimetre per second.
-            return Ok(Some(match self.quantity {
-                ColumnQuantity::Speed => value.max(0.0),
-                _ => value,
-            }));
-        }
-        let first = ImpossibleValues {
-            first_line: row.line,
-            last_line: row.line,
-            count: 0,
-            worst: value,
-        };
-        let impossible = self.impossible.get_or_insert(first);
-        impossible.last_line = row.line;
-        impossible.count += 1;
-        if self.quantity.excess(value) > self.quantity.excess(impossible.worst) {
-            impossible.worst = value;
-        }
-        Ok(None)
+        Ok(self.check.possible(row.line, value))
     }
 
     /// Adds missing and impossible values to `dropped`.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
-        let mut notes = Vec::new();
         if let Some((line, count)) = self.missing {
             let note = format!("{count} of {rows} values are missing, the first one here");
-            notes.push((line, note));
+            dropped.push(note_on(path, line, &self.column.name, &note));
         }
-        if let Some((line, largest_mps)) = self.unusual {
-            let largest_mps = format_fixed(largest_mps, 1);
-            notes.push((
-                line,
-                format!("speeds up to {largest_mps} m/s, {CHECK_UNIT}"),
-            ));
-        }
-        if let Some(impossible) = &self.impossible {
-            notes.push((impossible.first_line, self.describe(impossible, rows)));
-        }
-        dropped.extend(notes.into_iter().map(|(line, note)| DroppedItem {
-            path: path.to_owned(),
-            line,
-            omission: Omission::Note(format!("{}: {note}", self.column.name)),
-        }));
+        self.check.report(path, &self.column.name, dropped);
     }
 
-    /// Checks that some value is possible, or all are missing. The file has a number of rows.
+    /// Checks that some value is possible, or all are missing.
     ///
     /// # Errors
     /// [`ColumnProblem::OnlyImpossible`] at the first impossible value.
-    pub(super) fn ensure_possible(&self, path: &Path, rows: usize) -> Result<(), RecordingError> {
-        match &self.impossible {
-            Some(impossible) if self.has_no_possible(impossible, rows) => {
+    pub(super) fn ensure_possible(&self, path: &Path) -> Result<(), RecordingError> {
+        match &self.check.impossible {
+            Some(impossible) if impossible.count == self.check.count => {
+                let problem = self.check.describe(impossible);
                 Err(RecordingError::Line {
                     path: path.to_owned(),
                     line: impossible.first_line,
                     problem: LineProblem::Column {
                         column: self.column.name.clone(),
-                        problem: ColumnProblem::OnlyImpossible(self.describe(impossible, rows)),
+                        problem: ColumnProblem::OnlyImpossible(problem),
                     },
                 })
             }
             _ => Ok(()),
         }
     }
+}
 
-    fn has_no_possible(&self, impossible: &ImpossibleValues, rows: usize) -> bool {
-        impossible.count + self.missing.map_or(0, |(_, missing)| missing) == rows
+fn note_on(path: &Path, line: u64, name: &str, note: &str) -> DroppedItem {
+    DroppedItem {
+        path: path.to_owned(),
+        line,
+        omission: Omission::Note(format!("{name}: {note}")),
+    }
+}
+
+/// Check of the values of a column, or of values that follow from several columns, with counts of those to report.
+pub(super) struct ValueCheck {
+    quantity: ColumnQuantity,
+    /// Number of values so far.
+    count: usize,
+    impossible: Option<ImpossibleValues>,
+    /// Speeds against the direction of travel that count as 0.
+    standing: Option<ImpossibleValues>,
+    /// Line of the first unusual speed, and the largest speed.
+    unusual: Option<(u64, f64)>,
+}
+
+struct ImpossibleValues {
+    first_line: u64,
+    last_line: u64,
+    count: usize,
+    worst: f64,
+}
+
+impl ImpossibleValues {
+    fn add(values: &mut Option<Self>, line: u64, value: f64, is_worse: impl Fn(f64, f64) -> bool) {
+        let values = values.get_or_insert(Self {
+            first_line: line,
+            last_line: line,
+            count: 0,
+            worst: value,
+        });
+        values.last_line = line;
+        values.count += 1;
+        if is_worse(value, values.worst) {
+            values.worst = value;
+        }
+    }
+}
+
+impl ValueCheck {
+    pub(super) fn new(quantity: ColumnQuantity) -> Self {
+        Self {
+            quantity,
+            count: 0,
+            impossible: None,
+            standing: None,
+            unusual: None,
+        }
     }
 
-    /// Describes impossible values, in a column with a number of rows.
-    fn describe(&self, impossible: &ImpossibleValues, rows: usize) -> String {
+    /// Returns the value of a line, if it is possible. A standing vehicle has the speed 0.
+    pub(super) fn possible(&mut self, line: u64, value: f64) -> Option<f64> {
+        let quantity = self.quantity;
+        self.count += 1;
+        if !quantity.allows(value) {
+            ImpossibleValues::add(&mut self.impossible, line, value, |one, other| {
+                quantity.excess(one) > quantity.excess(other)
+            });
+            return None;
+        }
+        let is_speed = matches!(
+            quantity,
+            ColumnQuantity::Speed | ColumnQuantity::SignedSpeed
+        );
+        if is_speed && value.abs() > MAX_USUAL_SPEED_MPS {
+            let unusual = self.unusual.get_or_insert((line, 0.0));
+            unusual.1 = unusual.1.max(value.abs());
+        }
+        if quantity != ColumnQuantity::Speed {
+            return Some(value);
+        }
+        if round_to_milli(value) < 0.0 {
+            ImpossibleValues::add(&mut self.standing, line, value, |one, other| one < other);
+        }
+        Some(value.max(0.0))
+    }
+
+    /// Adds what a user should know about the values of the column `name` to `dropped`.
+    pub(super) fn report(&self, path: &Path, name: &str, dropped: &mut Vec<DroppedItem>) {
+        if let Some((line, largest_mps)) = self.unusual {
+            let largest_mps = format_fixed(largest_mps, 1);
+            let note = format!("speeds up to {largest_mps} m/s, {CHECK_UNIT}");
+            dropped.push(note_on(path, line, name, &note));
+        }
+        if let Some(standing) = &self.standing {
+            let note = standing_note(standing.count, standing.worst);
+            dropped.push(note_on(path, standing.first_line, name, &note));
+        }
+        if let Some(impossible) = &self.impossible {
+            let note = self.describe(impossible);
+            dropped.push(note_on(path, impossible.first_line, name, &note));
+        }
+    }
+
+    fn describe(&self, impossible: &ImpossibleValues) -> String {
         let ImpossibleValues {
             last_line,
             count,
             worst,
             ..
         } = impossible;
-        let all = if self.has_no_possible(impossible, rows) {
+        let all = if *count == self.count {
             ", and no possible one: its sign or unit is probably wrong"
         } else {
             ""
@@ -374,6 +437,16 @@ impl Series {
             format_number(*worst)
         )
     }
+}
+
+/// Describes speeds against the direction of travel that count as 0.
+pub(super) fn standing_note(count: usize, worst_mps: f64) -> String {
+    let worst_mps = format_fixed(worst_mps, 3);
+    let verb = if count == 1 { "counts" } else { "count" };
+    let plural = if count == 1 { "" } else { "s" };
+    format!(
+        "{count} speed{plural} below 0, down to {worst_mps} m/s, {verb} as 0 (a standing vehicle), the first one here"
+    )
 }
 
 /// Interpolates holes of at most `longest_s` seconds. Returns the number of new values and the first such sample.

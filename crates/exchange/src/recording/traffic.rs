@@ -152,7 +152,6 @@ impl TrafficParts<'_, '_> {
         let duplicates = tracks::sort(&mut points);
         dropped.extend(duplicates.map(|(first, count)| self.duplicates(&first, count)));
         let rules = TrackRules {
-            vehicle_column: &self.spec.vehicle,
             reference: self.spec.position.of,
             interpolate_s: self.map.interpolate_s,
             lane_blip_s: self.spec.lane_blip_s,

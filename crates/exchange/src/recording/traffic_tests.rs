@@ -120,7 +120,7 @@ fn impossible_values_are_excluded_and_reported() {
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
     assert_eq!(
         message(&filled)[1],
-        "a.csv:6: 2 missing values of id were filled by straight lines, the first one here"
+        "a.csv:6: 2 missing rows and values of vehicles were filled by straight lines, the first one here"
     );
     for (good, bad, expected) in [
         ("0;1;", "0;;", "a.csv:3: id: must not be empty"),
@@ -236,7 +236,7 @@ fn no_vehicle_follows_across_an_unknown_one() {
         assert!(
             recording.dropped[1]
                 .to_string()
-                .contains("1 missing values of id were filled"),
+                .contains("1 missing rows and values of vehicles were filled"),
             "{:?}",
             recording.dropped
         );

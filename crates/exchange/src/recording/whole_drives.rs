@@ -66,7 +66,7 @@ pub fn find_drives(recording: &Recording, leaders: LeaderSelection) -> Vec<Whole
 }
 
 /// Splits a drive after [`MAX_DRIVE_S`], and where the speed of a vehicle changes faster than any road vehicle's.
-fn split_at_jumps(drive: Vec<DriveInstant>) -> Vec<Vec<DriveInstant>> {
+pub(super) fn split_at_jumps(drive: Vec<DriveInstant>) -> Vec<Vec<DriveInstant>> {
     let Some(start_s) = drive.first().map(|first| first.time_s) else {
         return Vec::new();
     };

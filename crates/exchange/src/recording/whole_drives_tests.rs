@@ -1,6 +1,9 @@
 //! Whole drives, and the driver of the vehicle behind.
 
+use super::drive::DriveInstant;
+use super::motion::SpeedSample;
 use super::tests::read_text;
+use super::whole_drives::split_at_jumps;
 use super::*;
 use crumple_measure::is_far_behind;
 use crumple_sim::scenario::{Driver, LeadProfile, Scenario};
@@ -199,6 +202,37 @@ fn drives_end_where_the_recording_has_a_hole_or_a_jump() {
         &drives_of_first(&long),
         &[[0.0, MAX_DRIVE_S], [3600.4, 99.5]],
     );
+}
+
+/// A drive with many jumps: if each piece kept the rest of the drive, memory would grow with the square of its length.
+#[test]
+fn the_pieces_of_a_drive_hold_memory_for_their_own_instants_only() {
+    let instant = |index: usize| {
+        let speed_mps = if index % 200 < 100 { 10.0 } else { 20.0 };
+        let sample = SpeedSample {
+            index,
+            time_ms: 100 * index as i64,
+            speed_mps: 15.0,
+        };
+        DriveInstant {
+            sample,
+            time_s: 0.1 * index as f64,
+            vehicle: EpisodeVehicle {
+                number: 2,
+                name: None,
+                gap_ahead_m: 50.0,
+                speed_mps,
+                length_m: None,
+            },
+            behind: None,
+        }
+    };
+    let drive: Vec<_> = (0..20_000).map(instant).collect();
+    let pieces = split_at_jumps(drive);
+    let capacity: usize = pieces.iter().map(Vec::capacity).sum();
+    assert!(pieces.len() >= 200, "{}", pieces.len());
+    assert_eq!(pieces.iter().map(Vec::len).sum::<usize>(), 20_000);
+    assert!(capacity < 21_000, "{capacity}");
 }
 
 /// The vehicle behind need not be recorded for the whole drive.

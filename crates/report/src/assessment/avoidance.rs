@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::gather_context::GatherContext;
-use super::{CacheError, CaseResult, Rounded};
+use super::{CacheError, CaseResult, CaseVerdict, Rounded};
 use crumple_core::digits::format_fixed_down;
 use crumple_search::worst_case::{
     AvoidOptions, AvoidReport, AvoidanceClass, AvoidanceVerdict, avoid, covers_scenario,
@@ -78,10 +78,11 @@ pub(super) fn serialize_rounded<S: Serializer>(
 }
 
 /// Returns how much smaller the smallest gap of a case is than that of the best escape found, from the rounded numbers.
-/// `None` without an escape, or if other vehicles collided first. Zero for a controller that beats the escape within
-/// its grid.
+/// `None` without an escape or an answer of the controller, or if other vehicles collided first. Zero for a controller
+/// that beats the escape within its grid.
 pub(super) fn regret_m(report: &AvoidReport, case: &CaseResult) -> Option<Rounded<2>> {
-    if !case.verdict.is_conclusive() {
+    let is_unanswered = matches!(case.verdict, CaseVerdict::ControllerFailed { .. });
+    if is_unanswered || !case.verdict.is_conclusive() {
         return None;
     }
     let escape_m = Rounded::<2>::down(report.escape_min_gap_m?);

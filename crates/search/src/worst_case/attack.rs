@@ -71,7 +71,7 @@ pub struct Attack {
     pub scenario: Scenario,
     /// Outcome of the simulation.
     pub outcome: Outcome,
-    /// ∫ a² of the leader's script, in m²/s³.
+    /// ∫ a² of the leader until it stands or the first collision, in m²/s³.
     pub effort_m2ps3: f64,
     /// Hardest braking of the script, in m/s², positive.
     pub peak_brake_mps2: f64,

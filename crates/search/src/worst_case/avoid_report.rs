@@ -8,7 +8,7 @@ use super::emergency_brake::EmergencyBrake;
 use super::escape::{Escape, EscapeMethod, FoundBy};
 use super::reason::UndecidedReason;
 use crate::confirmation::escape_survives;
-use crumple_core::digits::{format_fixed_down, format_fixed_up};
+use crumple_core::digits::{format_fixed_down, format_fixed_up, format_number};
 use crumple_core::quoting::TerminalText;
 use crumple_sim::scenario::Scenario;
 
@@ -21,6 +21,8 @@ const LARGEST_GAP: &str = "no escape with a larger gap was found by the convex p
 pub struct AvoidReport {
     /// Name of the scenario.
     pub scenario: String,
+    /// Duration of the scenario, in seconds. Nothing is shown about the time afterwards.
+    pub duration_s: f64,
     /// Verdict of the analysis.
     pub verdict: AvoidanceClass,
     /// Largest smallest gap of all replayed escapes, in metres.
@@ -66,6 +68,7 @@ impl AvoidReport {
             escape.and_then(|escape| escape_survives(scenario, &escape.acceleration_mps2));
         Self {
             scenario: scenario.spec().name.clone(),
+            duration_s: scenario.spec().duration_s,
             verdict: avoidance.verdict.class(),
             best_min_gap_m: avoidance.best_min_gap_m,
             escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
@@ -97,9 +100,10 @@ impl AvoidReport {
     #[must_use]
     pub fn to_text(&self) -> String {
         let heading = format!(
-            "{}: {}\n",
+            "{}: {}, in the {} s of the scenario\n",
             TerminalText(&self.scenario),
-            self.verdict.name()
+            self.verdict.name(),
+            format_number(self.duration_s)
         );
         let lines = [
             self.unavoidable_line(),
@@ -145,7 +149,7 @@ impl AvoidReport {
         let optimality = match self.optimality? {
             Optimality::BestFound => "best found",
             Optimality::InitialGap => "optimal: equals the initial gap",
-            Optimality::Bound => "optimal: equals the bound",
+            Optimality::Bound => "optimal to a centimetre: at most 0.01 m below the bound",
         };
         Some(format!("smallest gap of the escape {gap} m, {optimality}"))
     }

@@ -93,6 +93,31 @@ impl<'a> ProfileSimulator<'a> {
         Ok(trials)
     }
 
+    /// Returns ∫ a² of a leader with a profile of one acceleration per cell, until it stands or the first collision.
+    fn effort_m2ps3(&self, cells_mps2: &[f64], outcome: &Outcome) -> f64 {
+        let cell_s = self.cell_s();
+        let end_s = outcome
+            .collision()
+            .map_or(f64::INFINITY, |collision| collision.time_s);
+        let mut speed_mps = self
+            .scenario
+            .vehicles()
+            .first()
+            .map_or(0.0, |leader| leader.speed_mps);
+        let mut effort_m2ps3 = 0.0;
+        for (cell, &acceleration_mps2) in cells_mps2.iter().enumerate() {
+            let left_s = (end_s - cell as f64 * cell_s).clamp(0.0, cell_s);
+            let moving_s = if acceleration_mps2 < 0.0 {
+                left_s.min(speed_mps / -acceleration_mps2)
+            } else {
+                left_s
+            };
+            effort_m2ps3 += acceleration_mps2.powi(2) * moving_s;
+            speed_mps = (speed_mps + acceleration_mps2 * cell_s).max(0.0);
+        }
+        effort_m2ps3
+    }
+
     pub(super) fn report(
         &mut self,
         cells_mps2: &[f64],
@@ -113,7 +138,7 @@ impl<'a> ProfileSimulator<'a> {
         ));
         Ok(Attack {
             outcome: trial.outcome.clone(),
-            effort_m2ps3: AttackObjective::Mildest.cost(cells_mps2, self.cell_s()),
+            effort_m2ps3: self.effort_m2ps3(cells_mps2, &trial.outcome),
             peak_brake_mps2: AttackObjective::LeastPeak.cost(cells_mps2, self.cell_s()),
             predicted_margin_m,
             margin_m: trial.margin_m,

@@ -13,7 +13,9 @@ use serde::Serialize;
 use super::attack::{AttackError, check_size};
 use crumple_core::observer::{Observer, RunProgress};
 use crumple_measure::UnnecessaryBraking;
-use crumple_sim::engine::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
+use crumple_sim::engine::{
+    FailedControllerRuns, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
+};
 use crumple_sim::scenario::{GhostObject, Scenario, SensorFaults};
 pub use fault_kind::SearchedSizes;
 use fault_kind::{FaultKind, FaultSize, GHOST, KINDS, PARTS, ghosts};
@@ -26,7 +28,7 @@ const MAX_BATCH: usize = 256;
 /// Failure that a fault causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SensorFailure {
-    /// A collision, or a controller that gives no answer.
+    /// A collision.
     Collision,
     /// Unnecessary braking of a vehicle under test, as measured by [`UnnecessaryBraking`].
     UnnecessaryBraking,
@@ -69,6 +71,12 @@ pub struct SensorAttackResult {
     pub collides_without_fault: bool,
     /// True if a vehicle under test brakes unnecessarily without a further fault.
     pub brakes_unnecessarily_without_fault: bool,
+    /// True if a controller gives no answer without a further fault; no fault is then simulated.
+    pub fails_without_fault: bool,
+    /// Simulations that ended because a controller gave no answer, and the reason of the first. A collision that would
+    /// have happened later is unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub missing_answers: Option<FailedControllerRuns>,
     /// One entry per kind of fault.
     pub kinds: Vec<FaultKindResult>,
     /// Number of simulations.
@@ -112,6 +120,7 @@ struct FaultSearch<'a> {
     observer: &'a dyn Observer<RunProgress>,
     /// True for each failure that happens without a fault, and is not searched.
     skip: [bool; 2],
+    missing_answers: Option<FailedControllerRuns>,
     evaluations: usize,
 }
 
@@ -134,15 +143,19 @@ pub fn attack_sensors(
         options,
         observer,
         skip: [false; 2],
+        missing_answers: None,
         evaluations: 0,
     };
     let [collides, brakes] = search.simulate(&[scenario.spec().sensors.faults.clone()])?[0];
-    search.skip = [collides, brakes];
+    let fails = search.missing_answers.is_some();
+    search.skip = [collides || fails, brakes || fails];
     while search.advance(&mut kinds)? {}
     search.refine(&mut kinds)?;
     Ok(SensorAttackResult {
         collides_without_fault: collides,
         brakes_unnecessarily_without_fault: brakes,
+        fails_without_fault: fails,
+        missing_answers: search.missing_answers,
         kinds: kinds
             .iter()
             .map(|kind| kind.result(&scenario.spec().sensors.faults))
@@ -318,10 +331,18 @@ impl FaultSearch<'_> {
             .iter()
             .map(|faults| self.run_with(faults))
             .collect::<Result<Vec<_>, _>>()?;
-        let failed = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
-            self.failures(&result)
+        let simulated = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
+            let unanswered = result.outcome.failed_controller().cloned();
+            (self.failures(&result), unanswered)
         });
         self.evaluations += runs.len();
+        let mut failed = Vec::with_capacity(simulated.len());
+        for (failures, unanswered) in simulated {
+            failed.push(failures);
+            if let Some(unanswered) = unanswered {
+                FailedControllerRuns::add(&mut self.missing_answers, &unanswered);
+            }
+        }
         self.observer.notify(&RunProgress {
             done: self.evaluations as u64,
             total: None,
@@ -345,7 +366,7 @@ impl FaultSearch<'_> {
                 UnnecessaryBraking::from_trace(trace, &result.impacts, vehicle)
             });
         [
-            !result.outcome.is_safe(),
+            result.outcome.collision().is_some(),
             brakings.any(|braking| !braking.is_empty()),
         ]
     }

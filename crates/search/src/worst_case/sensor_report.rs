@@ -48,6 +48,17 @@ impl<'a> SensorAttackReport<'a> {
             TerminalText(self.scenario),
             TerminalText(self.controller)
         );
+        let simulations = self.result.evaluations;
+        if let Some(missing) = &self.result.missing_answers {
+            text += &format!(
+                "  CONTROLLER FAILED and gave no answer in {} of {simulations} simulations; the first: {}\n",
+                missing.runs,
+                TerminalText(&missing.reason)
+            );
+        }
+        if self.result.fails_without_fault {
+            return text + "  so it does without a further fault, and no fault was simulated\n";
+        }
         text += &describe_mildest(
             "a collision",
             self.mildest_collision,
@@ -63,7 +74,6 @@ impl<'a> SensorAttackReport<'a> {
             "fault", "limit", "sizes searched", "collision", "unnecessary braking"
         );
         text.extend(self.result.kinds.iter().map(|kind| self.row(kind)));
-        let simulations = self.result.evaluations;
         text + &format!("  mildest faults found; {simulations} simulations\n")
     }
 

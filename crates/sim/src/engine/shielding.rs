@@ -13,6 +13,8 @@ use crate::scenario::{Driver, LeadProfile, VehicleSpec};
 
 /// Standard deviations of noise that a shield assumes as a bound; exceeded once in 10⁹ samples.
 const NOISE_SIGMAS: f64 = 6.0;
+/// Two accelerations that differ by this share differ by rounding only: 6 · 0.05 is more than 0.3.
+const ROUNDING_SHARE: f64 = 1e-12;
 
 /// Gap that a two-sided shield keeps on either side, in metres, besides rounding.
 const MIN_TWO_SIDED_MARGIN_M: f64 = 0.05;
@@ -180,7 +182,7 @@ impl Run {
         };
         let is_within_limits = limits.reaction_s <= class.reaction_s
             && limits.brake_mps2 >= class.brake_mps2
-            && noise_bound_mps2(follower) <= class.drift_mps2;
+            && noise_bound_mps2(follower) <= class.drift_mps2 * (1.0 + ROUNDING_SHARE);
         (!fires_as_stated || !is_within_limits).then(|| driver.name())
     }
 

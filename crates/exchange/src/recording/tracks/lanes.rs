@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::split::{DirectionVotes, track_votes};
-use super::{ReferencePoint, TrackPoint};
+use super::{ReferencePoint, STANDING_NOISE_MPS, TrackPoint};
 
 /// Mean signed speed that shows the direction of a vehicle in a lane without moving traffic, in m/s.
 const MIN_SIGNED_SPEED_MPS: f64 = 0.1;
@@ -75,16 +75,22 @@ fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
 }
 
 /// Determines the direction of travel of each track, and the front bumper of each point. A standing vehicle has the
-/// direction of the traffic in its lane.
-pub(super) fn orient(points: &mut [TrackPoint], reference: ReferencePoint, speeds_agree: bool) {
+/// direction of the traffic in its lane. Speeds against the direction of travel become 0. Returns the first point with
+/// one faster than [`STANDING_NOISE_MPS`], and their number, if there are any.
+pub(super) fn orient(
+    points: &mut [TrackPoint],
+    reference: ReferencePoint,
+    speeds_agree: bool,
+) -> Option<(TrackPoint, usize)> {
     let votes = TrafficVotes::count(points, speeds_agree);
+    let signs = signs_of_speeds(points, &votes);
+    let mut backwards: Option<(TrackPoint, usize)> = None;
     for (track, direction) in points
         .chunk_by_mut(|a, b| a.track == b.track)
         .zip(&votes.track_directions)
     {
-        let speeds_mps: Vec<f64> = track.iter().filter_map(|point| point.speed_mps).collect();
-        let signed_mps = speeds_mps.iter().sum::<f64>() / speeds_mps.len().max(1) as f64;
-        let by_speed = (signed_mps < -MIN_SIGNED_SPEED_MPS).then_some(true);
+        let sign = sign_of_speeds(track);
+        let by_speed = sign.filter(|is_negative| *is_negative);
         for point in track {
             point.position_decreases = direction
                 .or_else(|| votes.by_lane.get(&point.lane)?.majority_decreases())
@@ -92,9 +98,46 @@ pub(super) fn orient(points: &mut [TrackPoint], reference: ReferencePoint, speed
                 .or_else(|| votes.all.majority_decreases())
                 .unwrap_or(false);
             point.front_m = front_m(point, reference);
-            point.speed_mps = point.speed_mps.map(f64::abs);
+            let is_negative = direction
+                .and(sign)
+                .or(signs[usize::from(point.position_decreases)].majority_decreases())
+                .or(sign)
+                .unwrap_or(false);
+            let Some(speed_mps) = &mut point.speed_mps else {
+                continue;
+            };
+            let forward_mps = if is_negative { -*speed_mps } else { *speed_mps };
+            *speed_mps = forward_mps.max(0.0);
+            if forward_mps < -STANDING_NOISE_MPS && !point.is_margin {
+                backwards.get_or_insert((*point, 0)).1 += 1;
+            }
         }
     }
+    backwards
+}
+
+/// Returns whether the speeds of a track are negative; `None` if it stands.
+fn sign_of_speeds(track: &[TrackPoint]) -> Option<bool> {
+    let speeds_mps = || track.iter().filter_map(|point| point.speed_mps);
+    let mean_mps = speeds_mps().sum::<f64>() / speeds_mps().count().max(1) as f64;
+    (mean_mps.abs() > MIN_SIGNED_SPEED_MPS).then_some(mean_mps < 0.0)
+}
+
+/// Counts the tracks with positive and negative speeds, for increasing and for decreasing positions.
+fn signs_of_speeds(points: &[TrackPoint], votes: &TrafficVotes) -> [DirectionVotes; 2] {
+    let mut signs = [DirectionVotes::default(); 2];
+    for (track, direction) in points
+        .chunk_by(|a, b| a.track == b.track)
+        .zip(&votes.track_directions)
+    {
+        if let (Some(decreases), Some(is_negative)) = (*direction, sign_of_speeds(track)) {
+            signs[usize::from(decreases)].add(DirectionVotes {
+                up: usize::from(!is_negative),
+                down: usize::from(is_negative),
+            });
+        }
+    }
+    signs
 }
 
 /// Votes for the directions of travel in a recording.

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use super::dropped::Omission;
 use super::map::ReferencePoint;
-use super::table::excerpt;
+use super::series::STANDING_NOISE_MPS;
 use crumple_core::digits::format_number;
 
 /// Vehicles with changing neighbours.
@@ -70,8 +70,7 @@ pub(super) struct TrackPoint {
 
 /// Settings of the map for tracks.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct TrackRules<'m> {
-    pub(super) vehicle_column: &'m str,
+pub(super) struct TrackRules {
     pub(super) reference: ReferencePoint,
     /// Longest hole that is interpolated, in seconds.
     pub(super) interpolate_s: f64,
@@ -137,7 +136,7 @@ impl RecordedTraffic {
     pub(super) fn build(
         mut points: Vec<TrackPoint>,
         (vehicles, core_ms): (Arc<[VehicleId]>, Range<i64>),
-        rules: TrackRules<'_>,
+        rules: TrackRules,
         dropped: &mut Vec<(u64, Omission)>,
     ) -> Result<Self, u64> {
         if let Some((first, count)) = split::split(&mut points, rules.speeds_agree) {
@@ -152,12 +151,15 @@ impl RecordedTraffic {
             ));
         }
         if let Some((line, count)) = fill::fill_holes(&mut points, rules.interpolate_s)? {
-            dropped.push((
-                line,
-                Omission::interpolated(&excerpt(rules.vehicle_column), count),
-            ));
+            let after = " missing rows and values of vehicles were filled by straight lines, the first one here";
+            dropped.push((line, Omission::counted("", count, after)));
         }
-        lanes::orient(&mut points, rules.reference, rules.speeds_agree);
+        if let Some((first, count)) =
+            lanes::orient(&mut points, rules.reference, rules.speeds_agree)
+        {
+            let vehicle = label(&vehicles, first.vehicle);
+            dropped.push((first.line, backward_omission(&vehicle, count)));
+        }
         link::link(&mut points, to_ms(rules.lane_blip_s), dropped);
         Ok(Self {
             points,
@@ -173,6 +175,13 @@ fn split_omission(vehicle: &str, count: usize) -> Omission {
         "the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of "
     );
     Omission::counted(before, count, " such places each begins another track")
+}
+
+/// Returns the omission of speeds against the direction of travel, the first one of a vehicle.
+fn backward_omission(vehicle: &str, count: usize) -> Omission {
+    let before = format!("vehicle {vehicle} drives against its direction of travel here; ");
+    let after = format!(" such speeds, above {STANDING_NOISE_MPS} m/s, count as 0");
+    Omission::counted(before, count, after)
 }
 
 /// Returns the omission of lane ids that hold only briefly, the first one of a vehicle.

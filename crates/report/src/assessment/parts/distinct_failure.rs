@@ -168,17 +168,18 @@ impl DistinctFailure {
         counterexample: &Counterexample,
         folder: &str,
         texts: CounterexampleFiles,
-        replay: &dyn Fn(&str) -> Option<CrumpleCommand>,
+        replay: &dyn Fn(&str, &str) -> Option<CrumpleCommand>,
     ) -> Self {
         let path = &counterexample.file;
         let name = path.rsplit('/').next().unwrap_or(path);
         let file = format!("{folder}/{name}");
         let text = texts.counterexample;
-        // The command expects a collision, and a controller without an answer causes none.
-        let replay = match counterexample.reason {
-            None => replay(&file),
-            Some(_) => None,
+        // A controller without an answer causes no collision.
+        let expected = match counterexample.reason {
+            None => "collision",
+            Some(_) => "failure",
         };
+        let replay = replay(&file, expected);
         Self {
             escape: texts.escape.map(|text| {
                 EscapeFile::new(&file, text, counterexample.escape_survives_multi_body)

@@ -66,7 +66,7 @@ pub(super) struct EverydayDrive {
 }
 
 /// Measures unnecessary braking per hour under each condition of the sensors. Leaves out conditions that a controller
-/// refuses, as a shield does, and all faults if the controller observes the true state.
+/// refuses, as a shield does, and in which it never answers, and all faults if it observes the true state.
 pub(super) fn braking_rates(
     traffic: &[Scenario],
     drives: &[EverydayDrive],
@@ -75,14 +75,17 @@ pub(super) fn braking_rates(
     let mut rates = Vec::new();
     for (sensors, faults) in sensor_conditions() {
         if !faults.is_any() {
-            rates.push(BrakingRate::new(sensors, drives));
+            rates.extend(BrakingRate::new(sensors, drives));
         } else if options.estimator == EstimatorKind::Kalman {
             let faulty = traffic
                 .iter()
                 .map(|scenario| scenario.edited(|spec| spec.sensors.faults = faults.clone()))
                 .collect::<Result<Vec<_>, _>>()?;
             let drives = simulate_each(&faulty, options, RecordingLevel::Trace, EverydayDrive::new);
-            rates.extend(drives.ok().map(|drives| BrakingRate::new(sensors, &drives)));
+            let rate = drives
+                .ok()
+                .and_then(|drives| BrakingRate::new(sensors, &drives));
+            rates.extend(rate);
         }
     }
     Ok(rates)
@@ -96,31 +99,40 @@ impl EverydayDrive {
     /// Returns the measures of a drive in which the controller answered. Others are no evidence about driving or
     /// keeping up.
     pub(super) fn answered_measures(&self) -> Option<UsefulnessMeasures> {
+        self.answered().map(|(measures, _)| measures)
+    }
+
+    /// Returns the measures and the duration, in seconds, of a drive in which the controller answered.
+    fn answered(&self) -> Option<(UsefulnessMeasures, f64)> {
         let is_answered = !matches!(self.verdict, CaseVerdict::ControllerFailed { .. });
-        self.usefulness.filter(|_| is_answered)
+        let measures = self.usefulness.filter(|_| is_answered)?;
+        Some((measures, self.duration_s))
     }
 }
 
 impl BrakingRate {
-    fn new(sensors: &str, drives: &[EverydayDrive]) -> Self {
-        let count = drives
-            .iter()
-            .filter_map(|drive| drive.usefulness)
-            .map(|useful| useful.unnecessary.count as u64)
+    /// Returns the rate of the drives in which the controller answered; `None` without such a drive.
+    fn new(sensors: &str, drives: &[EverydayDrive]) -> Option<Self> {
+        let answered = || drives.iter().filter_map(EverydayDrive::answered);
+        let count = answered()
+            .map(|(useful, _)| useful.unnecessary.count as u64)
             .sum();
-        let hours = drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
+        let hours = answered().map(|(_, duration_s)| duration_s).sum::<f64>() / 3600.0;
+        if hours <= 0.0 {
+            return None;
+        }
         let IntervalEstimate {
             estimate,
             lower,
             upper,
         } = IntervalEstimate::poisson_rate(count, hours);
-        Self {
+        Some(Self {
             sensors: sensors.to_owned(),
             count,
             hours: hours.into(),
             per_hour: estimate.into(),
             interval: [Rounded::down(lower), Rounded::up(upper)],
-        }
+        })
     }
 }
 

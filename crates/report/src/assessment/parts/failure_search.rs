@@ -104,19 +104,22 @@ impl PlannedSearch<'_> {
             .zip(texts)
             .filter(|(counterexample, _)| is_own_failure(counterexample, nominal))
             .map(|(counterexample, texts)| {
-                DistinctFailure::from_counterexample(counterexample, &folder, texts, &|file| {
-                    self.replay_command(file)
-                })
+                DistinctFailure::from_counterexample(
+                    counterexample,
+                    &folder,
+                    texts,
+                    &|file, expected| self.replay_command(file, expected),
+                )
             })
             .collect()
     }
 
-    /// Returns the command that simulates a failure; `None` for an external controller.
-    fn replay_command(&self, file: &str) -> Option<CrumpleCommand> {
+    /// Returns the command that simulates a failure, and expects it; `None` for an external controller.
+    fn replay_command(&self, file: &str, expected: &str) -> Option<CrumpleCommand> {
         let controller = controller_arg(&*self.controller.source)?;
         let simulate = CrumpleCommand::new(["simulate", file, "--controller", controller.as_str()])
             .with_args(self.plan.estimator_args().iter().copied());
-        Some(simulate.with_args(["--expect", "collision"]))
+        Some(simulate.with_args(["--expect", expected]))
     }
 
     /// Returns the command that repeats the search; `None` for an external controller.

@@ -306,11 +306,12 @@ impl SuiteFailure {
         );
         let text_sha256 = sha256(&text);
         files.insert(file.clone(), text);
-        // A controller without an answer causes no collision, which the command expects.
-        let replay = match failed.verdict {
-            TestVerdict::Failed { .. } => collision_command(&file, failed, controller, plan),
-            _ => None,
+        // A controller without an answer causes no collision.
+        let expected = match failed.verdict {
+            TestVerdict::Failed { .. } => "collision",
+            _ => "failure",
         };
+        let replay = failure_command(&file, expected, failed, controller, plan);
         Ok(Some(Self {
             file,
             sha256: text_sha256,
@@ -326,9 +327,10 @@ impl SuiteFailure {
     }
 }
 
-/// Returns the command that simulates a collision; `None` for an external controller.
-fn collision_command(
+/// Returns the command that simulates a failure, and expects it; `None` for an external controller.
+fn failure_command(
     file: &str,
+    expected: &str,
     failed: &FailedPoint,
     controller: &NamedController,
     plan: &AssessmentPlan,
@@ -336,7 +338,7 @@ fn collision_command(
     let argument = failed.with_test_driver(&controller_arg(&*controller.source)?);
     let simulate = CrumpleCommand::new(["simulate", file, "--controller", argument.as_str()])
         .with_args(plan.estimator_args().iter().copied());
-    Some(simulate.with_args(["--expect", "collision"]))
+    Some(simulate.with_args(["--expect", expected]))
 }
 
 impl PlannedSuiteResult {

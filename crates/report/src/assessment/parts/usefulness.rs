@@ -310,6 +310,11 @@ impl UsefulnessReport {
     pub(super) fn both_sides_table(&self) -> ReportTable {
         let hard = self.hard_braking_heading();
         let failures = format!("failures in traffic (of {})", self.random_scenarios);
+        // A controller that answers in no drive shows nothing about its driving.
+        let answered = |useful: &ControllerUsefulness, number: String| {
+            let [unanswered, _] = useful.unanswered_runs();
+            ReportCell::optional((unanswered < self.random_scenarios).then_some(number))
+        };
         let columns: [ReportColumn<'_, &ControllerUsefulness>; 9] = [
             ("controller", &|useful| ReportCell::text(&useful.controller)),
             ("failures in high-risk (%)", &|useful| {
@@ -319,13 +324,16 @@ impl UsefulnessReport {
                 ReportCell::with_verdict(useful.failures, useful.failures == 0)
             }),
             ("unnecessary braking in traffic (%)", &|useful| {
-                ReportCell::number(useful.unnecessary_braking_percent.observed)
+                answered(
+                    useful,
+                    useful.unnecessary_braking_percent.observed.to_string(),
+                )
             }),
             (&hard, &|useful| {
-                ReportCell::number(useful.format_hard_braking())
+                answered(useful, useful.format_hard_braking())
             }),
             ("falls behind in traffic", &|useful| {
-                ReportCell::number(useful.left_behind)
+                answered(useful, useful.left_behind.to_string())
             }),
             ("rms jerk in traffic (m/s³)", &|useful| {
                 ReportCell::optional(useful.rms_jerk_mps3)

@@ -192,11 +192,11 @@ impl ReportedClaim<'_> {
         // A controller that can fail may have given no answer instead, unless all its failures are collisions.
         let collides = !self.controller.source.can_fail()
             || matches!(self.status.strength, Strength::Refuted { .. });
-        if self.is_about_collisions() && collides {
-            Some(simulate.with_args(["--expect", "collision"]))
-        } else {
-            Some(simulate)
-        }
+        let expected = if collides { "collision" } else { "failure" };
+        Some(match self.is_about_collisions() {
+            true => simulate.with_args(["--expect", expected]),
+            false => simulate,
+        })
     }
 
     fn is_about_collisions(&self) -> bool {
