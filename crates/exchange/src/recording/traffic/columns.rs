@@ -35,7 +35,7 @@ pub(super) struct TrackColumns {
 
 /// Lengths of vehicles, in metres.
 enum LengthColumn {
-    Column(Series),
+    Column(Box<Series>),
     Constant(f64),
 }
 
@@ -59,7 +59,7 @@ impl TrackColumns {
             LengthSpec::Column(column) => {
                 let unit = LengthUnit::column_unit(column.unit);
                 let column = CsvColumn::find(names, &column.name, unit)?;
-                LengthColumn::Column(Series::new(column, ColumnQuantity::Length))
+                LengthColumn::Column(Box::new(Series::new(column, ColumnQuantity::Length)))
             }
             LengthSpec::Metres(metres) => LengthColumn::Constant(*metres),
         };
@@ -123,7 +123,7 @@ impl TrackColumns {
     /// Appends the missing and the impossible values of all columns.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
         let length = match &self.length {
-            LengthColumn::Column(series) => Some(series),
+            LengthColumn::Column(series) => Some(&**series),
             LengthColumn::Constant(_) => None,
         };
         let acceleration = self.acceleration.as_ref();
