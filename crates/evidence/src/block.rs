@@ -11,7 +11,7 @@ const HASH_PREFIX: &str = "crumple runs 2\n";
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CountedBlock {
-    /// Runs in which the controller failed; with two controllers, both.
+    /// Runs in which the controller failed; with two controllers, both, unless the second gave no answer.
     pub failures: u64,
     /// Runs in which only the first of two controllers failed.
     pub only_first_failed: u64,
@@ -19,7 +19,8 @@ pub struct CountedBlock {
     pub only_second_failed: u64,
     /// SHA-256 of the result of each run, known only to a program that simulates them: see `docs/certificates.md`.
     pub sha256: String,
-    /// Runs without an answer of the controller, or of the first of two; they count as failures.
+    /// Runs without an answer of the controller, or of the first of two; they count as failures, unless the second gave
+    /// no answer either.
     #[serde(default, skip_serializing_if = "Option::is_none", alias = "unanswered")]
     pub missing_answers: Option<FailedControllerRuns>,
     /// Runs without an answer of the second controller; they count for neither controller.

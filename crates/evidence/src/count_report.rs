@@ -20,7 +20,7 @@ pub struct CountReport {
     pub folder: Option<PathBuf>,
     /// Number of runs.
     pub runs: u64,
-    /// Runs in which the controller failed; with two controllers, both.
+    /// Runs in which the controller failed; with two controllers, both, unless the second gave no answer.
     pub failures: u64,
     /// Runs in which only the first of two controllers failed.
     pub only_first_failed: u64,

@@ -26,7 +26,7 @@ pub struct CountTally {
     pub registration_sha256: String,
     /// Number of runs.
     pub runs: u64,
-    /// Runs in which the controller failed; with two controllers, both.
+    /// Runs in which the controller failed; with two controllers, both, unless the second gave no answer.
     pub failures: u64,
     /// Runs in which only the first of two controllers failed.
     pub only_first_failed: u64,
@@ -173,7 +173,8 @@ impl CountRecord {
         let is_for_one_controller = block.second_missing_answers.is_none()
             && only_first_failed.saturating_add(*only_second_failed) == 0;
         is_hash
-            && first_missing <= first_failed
+            // A run in which both gave no answer is no failure.
+            && first_missing <= first_failed.saturating_add(second_missing)
             && any_failed.saturating_add(second_missing) <= runs.saturating_add(*failures)
             && any_failed <= runs
             && (self.is_comparison() || is_for_one_controller)

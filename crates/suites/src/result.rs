@@ -406,8 +406,13 @@ impl FailedPoint {
             path = Path::new(".").join(path);
         }
         let controller = self.with_test_driver(controller);
+        let sign = if controller.starts_with('-') {
+            "="
+        } else {
+            " "
+        };
         Some(format!(
-            "crumple simulate {} --controller {} --estimator {}",
+            "crumple simulate {} --controller{sign}{} --estimator {}",
             ShellWord(path.to_str()?),
             ShellWord(&controller),
             ShellWord(estimator.name())

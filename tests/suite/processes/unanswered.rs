@@ -259,6 +259,12 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
     let earlier = earlier.replace("24", "33");
     fs::write(folder.path().join("earlier.toml"), earlier).unwrap();
     let (_, tally) = count("near.toml", Some("earlier.toml"), "0.6");
+    let resumed = "verify rate --space short.toml --runs 60 --out again --controller near.toml --confidence 0.6";
+    for resume in ["", " --resume"] {
+        let against = format!("{resumed} --against earlier.toml{resume}");
+        let (_, text, error) = run_and_capture(folder.path(), &against);
+        assert!(!error.contains("belongs to another"), "{text}{error}");
+    }
     let counted = ["failures", "only_first_failed", "only_second_failed"].map(|name| &tally[name]);
     assert_eq!(counted, [&Value::from(0); 3], "{tally}");
     let ((_, _, error), tally) = count("near.toml", Some("idm"), "0.9");

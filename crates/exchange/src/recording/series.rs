@@ -15,6 +15,8 @@ const MAX_TIME_S: f64 = 1e10;
 /// A time that is earlier than the last by more is no late row, in seconds.
 const MIN_RESTART_S: f64 = 1.0;
 const DAY_S: f64 = 86_400.0;
+/// Longest step between two rows over midnight, in seconds.
+const MAX_MIDNIGHT_STEP_S: f64 = 3600.0;
 /// Largest gap within a platoon, in metres; vehicles further apart do not follow.
 const MAX_GAP_M: f64 = 1000.0;
 /// Largest speed of a scenario, in m/s.
@@ -45,8 +47,8 @@ pub(super) struct Clock {
     restarts: Option<DroppedItem>,
     format: ClockFormat,
     is_first: bool,
-    /// Number of midnights so far, if rows have times of day, and the last time, with these days.
-    midnights: u32,
+    /// Days since that of the first row, if rows have times of day, and the last time, with these days.
+    days: f64,
     last_read_s: Option<f64>,
 }
 
@@ -87,7 +89,7 @@ impl Clock {
             restarts: None,
             format,
             is_first: true,
-            midnights: 0,
+            days: 0.0,
             last_read_s: None,
         })
     }
@@ -134,7 +136,7 @@ impl Clock {
         let text = row.text(self.column.index);
         if self.format == ClockFormat::Iso && !text.is_empty() {
             return match parse_iso_s(text) {
-                Some(time_s) if is_time_of_day(text) => Ok(self.after_midnights_s(time_s)),
+                Some(time_s) if is_time_of_day(text) => Ok(self.with_days_s(time_s)),
                 Some(time_s) => Ok(time_s),
                 None => row.reject(
                     &self.column.name,
@@ -157,17 +159,16 @@ impl Clock {
         }
     }
 
-    /// Adds a day to a time of day for each midnight: a time that is half a day or more before the last one is after
-    /// midnight. If rows go back by half a day or more, for example to the start of another vehicle, so does the day.
-    fn after_midnights_s(&mut self, of_day_s: f64) -> f64 {
-        let time_s = |midnights: u32| of_day_s + DAY_S * f64::from(midnights);
+    /// Adds days to a time of day, or subtracts them, if rows pass midnight: the time is then at most an hour from that
+    /// of the row before. Once a row is on another day, the others have the day that is nearest to the row before.
+    fn with_days_s(&mut self, of_day_s: f64) -> f64 {
         let last_s = self.last_read_s.unwrap_or(of_day_s);
-        if time_s(self.midnights) <= last_s - 0.5 * DAY_S {
-            self.midnights += 1;
-        } else if self.midnights > 0 && time_s(self.midnights) >= last_s + 0.5 * DAY_S {
-            self.midnights -= 1;
+        let nearest = ((last_s - of_day_s) / DAY_S).round();
+        let distance_s = (of_day_s + nearest * DAY_S - last_s).abs();
+        if self.days != 0.0 || distance_s <= MAX_MIDNIGHT_STEP_S {
+            self.days = nearest;
         }
-        *self.last_read_s.insert(time_s(self.midnights))
+        *self.last_read_s.insert(of_day_s + self.days * DAY_S)
     }
 
     /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
@@ -230,7 +231,7 @@ impl ColumnQuantity {
     /// Returns how far a value is out of range; 0 within it.
     fn excess(self, value: f64) -> f64 {
         match self {
-            Self::Speed if value < -STANDING_NOISE_MPS => -value,
+            Self::Speed if round_to_milli(value) < -STANDING_NOISE_MPS => -value,
             Self::Speed => (value - MAX_SPEED_MPS).max(0.0),
             Self::SignedSpeed => (value.abs() - MAX_SPEED_MPS).max(0.0),
             // A gap that rounds to 0 would be a collision in the scenario.

@@ -143,11 +143,37 @@ fn a_leader_that_rolls_back_has_no_positive_speed() {
         assert!(fastest_mps <= 0.1, "{fastest_mps}");
         assert_eq!(
             messages(&recording),
-            [
-                "a.csv:402: vehicle 1 drives against its direction of travel here; 30 such speeds, above 0.3 m/s, \
-                 count as 0"
-            ]
+            ["a.csv:402: vehicle 1 rolls back here; 30 such speeds, from 0.3 to 3 m/s, count as 0"]
         );
+    }
+}
+
+/// A vehicle that turns and drives back in another lane drives forward there, whether speeds have a sign or not.
+#[test]
+fn vehicles_that_turn_keep_their_speeds() {
+    for has_sign in [true, false] {
+        let mut text = "t,id,lane,x,v\n".to_owned();
+        for tenth in 0..1300 {
+            let time_s = f64::from(tenth) / 10.0;
+            for (vehicle, start_m) in [(1, 40.0), (2, 0.0)] {
+                let (lane, x, sign) = match 10.0 * time_s + start_m {
+                    way_m if way_m < 650.0 => (1, way_m, 1.0),
+                    way_m => (2, 1300.0 - way_m, -1.0),
+                };
+                let speed_mps = if has_sign { 10.0 * sign } else { 10.0 };
+                let _ = writeln!(text, "{time_s:.1},{vehicle},{lane},{x:.3},{speed_mps:.1}");
+            }
+        }
+        let recording = read_with(&text, TRACKS);
+        let drives = find_drives(&recording, LeaderSelection::Any);
+        assert_eq!(drives.len(), 2);
+        for drive in drives {
+            let speeds_mps = &drive.leader_motion.speed_mps;
+            assert!(
+                speeds_mps.iter().all(|speed_mps| *speed_mps == 10.0),
+                "{speeds_mps:?}"
+            );
+        }
     }
 }
 
@@ -170,6 +196,16 @@ fn times_of_day_continue_after_midnight() {
         .iter()
         .flat_map(|id| (0..600).map(|tenth| row(*id, tenth)))
         .collect();
+    // Midnight has passed before the first row; the other vehicle comes from the day before.
+    let late: String = (400..600)
+        .map(|tenth| row(1, tenth))
+        .chain((0..600).map(|tenth| row(2, tenth)))
+        .collect();
+    let drives = find_drives(
+        &read_with(&format!("t,id,lane,x,v\n{late}"), TRACKS),
+        LeaderSelection::Any,
+    );
+    assert!(drives.is_empty(), "the leader is recorded for 20 s");
     for rows in [by_time, by_vehicle] {
         let recording = read_with(&format!("t,id,lane,x,v\n{rows}"), TRACKS);
         assert_eq!(messages(&recording), Vec::<String>::new());
@@ -180,5 +216,38 @@ fn times_of_day_continue_after_midnight() {
             "{}",
             drives[0].duration_s
         );
+    }
+}
+
+/// The start of another vehicle, hours before, is no midnight.
+#[test]
+fn a_day_recorded_vehicle_by_vehicle_has_no_midnight() {
+    let row = |vehicle: u32, tenth: u32| {
+        let second = tenth / 10;
+        let front_m = f64::from(tenth) + 100.0 - 40.0 * f64::from(vehicle);
+        let [hours, minutes] = [second / 3600, second / 60 % 60];
+        let seconds = f64::from(tenth % 600) / 10.0;
+        format!("{hours:02}:{minutes:02}:{seconds:04.1},{vehicle},1,{front_m:.3},10.0\n")
+    };
+    // In the morning and in the evening, and in the evening only.
+    for tenths in [
+        [252_000..253_000, 696_000..697_000],
+        [720_000..721_000, 730_000..731_000],
+    ] {
+        let early: String = (250_000..250_500).map(|tenth| row(9, tenth)).collect();
+        let rows: String = [1, 2]
+            .iter()
+            .flat_map(|id| {
+                tenths
+                    .clone()
+                    .into_iter()
+                    .flatten()
+                    .map(|tenth| row(*id, tenth))
+            })
+            .collect();
+        let recording = read_with(&format!("t,id,lane,x,v\n{early}{rows}"), TRACKS);
+        let drives = find_drives(&recording, LeaderSelection::Any);
+        let driven_s: f64 = drives.iter().map(|drive| drive.duration_s).sum();
+        assert!((driven_s - 199.5).abs() < 1.0, "{driven_s} s of 200 s");
     }
 }

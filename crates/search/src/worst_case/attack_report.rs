@@ -29,7 +29,7 @@ pub struct AttackReport {
     pub optimality: Option<&'static str>,
     /// Outcome of the simulation with the profile.
     pub outcome: Option<Outcome>,
-    /// ∫ a² of the leader's script, in m²/s³.
+    /// ∫ a² of the leader until it stands or the run ends, in m²/s³.
     pub effort_m2ps3: Option<f64>,
     /// Hardest braking of the script, in m/s², positive.
     pub peak_brake_mps2: Option<f64>,

@@ -93,12 +93,14 @@ impl<'a> ProfileSimulator<'a> {
         Ok(trials)
     }
 
-    /// Returns ∫ a² of a leader with a profile of one acceleration per cell, until it stands or the first collision.
+    /// Returns ∫ a² of a leader with a profile of one acceleration per cell, until it stands or the run ends.
     fn effort_m2ps3(&self, cells_mps2: &[f64], outcome: &Outcome) -> f64 {
         let cell_s = self.cell_s();
-        let end_s = outcome
-            .collision()
-            .map_or(f64::INFINITY, |collision| collision.time_s);
+        let end_s = match outcome {
+            Outcome::Collision(collision) => collision.time_s,
+            Outcome::ControllerFailed(failed) => failed.time_s,
+            Outcome::NoCollision => f64::INFINITY,
+        };
         let mut speed_mps = self
             .scenario
             .vehicles()

@@ -7,6 +7,8 @@ use super::{ReferencePoint, STANDING_NOISE_MPS, TrackPoint};
 
 /// Mean signed speed that shows the direction of a vehicle in a lane without moving traffic, in m/s.
 const MIN_SIGNED_SPEED_MPS: f64 = 0.1;
+/// Fastest vehicle that rolls back, in m/s.
+pub(super) const MAX_ROLLING_MPS: f64 = 3.0;
 
 /// Replaces lane ids that a track has for less than `shortest_ms` by the lane before; at the start of a track by the
 /// lane after. A track that has no lane for that long gets the lane of two thirds of its rows, if there is one. Returns
@@ -75,69 +77,89 @@ fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
 }
 
 /// Determines the direction of travel of each track, and the front bumper of each point. A standing vehicle has the
-/// direction of the traffic in its lane. Speeds against the direction of travel become 0. Returns the first point with
-/// one faster than [`STANDING_NOISE_MPS`], and their number, if there are any.
+/// direction of the traffic in its lane. Returns the first speed of a vehicle that rolls back, and their number.
 pub(super) fn orient(
     points: &mut [TrackPoint],
     reference: ReferencePoint,
     speeds_agree: bool,
 ) -> Option<(TrackPoint, usize)> {
     let votes = TrafficVotes::count(points, speeds_agree);
-    let signs = signs_of_speeds(points, &votes);
-    let mut backwards: Option<(TrackPoint, usize)> = None;
+    let mut signs = SpeedSigns::default();
     for (track, direction) in points
         .chunk_by_mut(|a, b| a.track == b.track)
         .zip(&votes.track_directions)
     {
-        let sign = sign_of_speeds(track);
-        let by_speed = sign.filter(|is_negative| *is_negative);
-        for point in track {
+        let by_speed = is_negative(track).filter(|is_negative| *is_negative);
+        for point in track.iter_mut() {
             point.position_decreases = direction
                 .or_else(|| votes.by_lane.get(&point.lane)?.majority_decreases())
                 .or(by_speed)
                 .or_else(|| votes.all.majority_decreases())
                 .unwrap_or(false);
             point.front_m = front_m(point, reference);
-            let is_negative = direction
-                .and(sign)
-                .or(signs[usize::from(point.position_decreases)].majority_decreases())
-                .or(sign)
-                .unwrap_or(false);
-            let Some(speed_mps) = &mut point.speed_mps else {
-                continue;
-            };
-            let forward_mps = if is_negative { -*speed_mps } else { *speed_mps };
-            *speed_mps = forward_mps.max(0.0);
-            if forward_mps < -STANDING_NOISE_MPS && !point.is_margin {
-                backwards.get_or_insert((*point, 0)).1 += 1;
+        }
+        signs.add_track(track, speeds_agree);
+    }
+    let mut rolling: Option<(TrackPoint, usize)> = None;
+    for interval in points.chunk_by_mut(|a, b| (a.track, a.lane) == (b.track, b.lane)) {
+        let own_direction = track_votes(interval, speeds_agree).decreases();
+        let own_sign = own_direction.and(is_negative(interval));
+        for point in interval {
+            let sign = own_sign.or_else(|| signs.of_direction(point.position_decreases));
+            if let Some(speed_mps) = point.speed_mps {
+                let forward_mps = forward_mps(speed_mps, sign);
+                point.speed_mps = Some(forward_mps.max(0.0));
+                if forward_mps < -STANDING_NOISE_MPS && !point.is_margin {
+                    rolling.get_or_insert((*point, 0)).1 += 1;
+                }
             }
         }
     }
-    backwards
+    rolling
 }
 
-/// Returns whether the speeds of a track are negative; `None` if it stands.
-fn sign_of_speeds(track: &[TrackPoint]) -> Option<bool> {
-    let speeds_mps = || track.iter().filter_map(|point| point.speed_mps);
+/// Returns a speed in the direction of travel, in m/s, if speeds in this direction are negative or positive. It is
+/// negative only for a vehicle that stands or rolls back; a faster one has another direction than crumple believes.
+fn forward_mps(speed_mps: f64, is_negative: Option<bool>) -> f64 {
+    match is_negative {
+        Some(is_negative)
+            if (speed_mps < 0.0) != is_negative && speed_mps.abs() <= MAX_ROLLING_MPS =>
+        {
+            -speed_mps.abs()
+        }
+        _ => speed_mps.abs(),
+    }
+}
+
+/// Returns whether the speeds of points are negative in the mean; `None` if the vehicle stands.
+fn is_negative(points: &[TrackPoint]) -> Option<bool> {
+    let speeds_mps = || points.iter().filter_map(|point| point.speed_mps);
     let mean_mps = speeds_mps().sum::<f64>() / speeds_mps().count().max(1) as f64;
     (mean_mps.abs() > MIN_SIGNED_SPEED_MPS).then_some(mean_mps < 0.0)
 }
 
-/// Counts the tracks with positive and negative speeds, for increasing and for decreasing positions.
-fn signs_of_speeds(points: &[TrackPoint], votes: &TrafficVotes) -> [DirectionVotes; 2] {
-    let mut signs = [DirectionVotes::default(); 2];
-    for (track, direction) in points
-        .chunk_by(|a, b| a.track == b.track)
-        .zip(&votes.track_directions)
-    {
-        if let (Some(decreases), Some(is_negative)) = (*direction, sign_of_speeds(track)) {
-            signs[usize::from(decreases)].add(DirectionVotes {
-                up: usize::from(!is_negative),
-                down: usize::from(is_negative),
-            });
+/// Numbers of moving vehicles with positive and negative speeds, for increasing and for decreasing positions.
+#[derive(Default)]
+struct SpeedSigns([DirectionVotes; 2]);
+
+impl SpeedSigns {
+    /// Counts the intervals of a track in which it moves within a lane.
+    fn add_track(&mut self, track: &[TrackPoint], speeds_agree: bool) {
+        for interval in track.chunk_by(|a, b| a.lane == b.lane) {
+            let decreases = track_votes(interval, speeds_agree).decreases();
+            if let (Some(decreases), Some(is_negative)) = (decreases, is_negative(interval)) {
+                self.0[usize::from(decreases)].add(DirectionVotes {
+                    up: usize::from(!is_negative),
+                    down: usize::from(is_negative),
+                });
+            }
         }
     }
-    signs
+
+    /// Returns whether most speeds are negative where positions change in a direction.
+    fn of_direction(&self, decreases: bool) -> Option<bool> {
+        self.0[usize::from(decreases)].majority_decreases()
+    }
 }
 
 /// Votes for the directions of travel in a recording.

@@ -179,8 +179,11 @@ fn split_omission(vehicle: &str, count: usize) -> Omission {
 
 /// Returns the omission of speeds against the direction of travel, the first one of a vehicle.
 fn backward_omission(vehicle: &str, count: usize) -> Omission {
-    let before = format!("vehicle {vehicle} drives against its direction of travel here; ");
-    let after = format!(" such speeds, above {STANDING_NOISE_MPS} m/s, count as 0");
+    let before = format!("vehicle {vehicle} rolls back here; ");
+    let after = format!(
+        " such speeds, from {STANDING_NOISE_MPS} to {} m/s, count as 0",
+        lanes::MAX_ROLLING_MPS
+    );
     Omission::counted(before, count, after)
 }
 
