@@ -399,12 +399,13 @@ fn exposure_until(trace: &Trace, vehicle: usize, end_s: f64) -> Option<[f64; 2]>
     let start_m = track.position_m.first()?;
     let after = trace.time_s.partition_point(|time_s| *time_s < end_s);
     let last_m = match track.position_m.get(after) {
-        Some(after_m) if after > 0 => {
+        Some(first_m) if after == 0 => *first_m,
+        Some(after_m) => {
             let [before_s, after_s] = [*trace.time_s.get(after - 1)?, *trace.time_s.get(after)?];
             let before_m = track.position_m.get(after - 1)?;
             before_m + (after_m - before_m) * (end_s - before_s) / (after_s - before_s)
         }
-        _ => *track.position_m.last()?,
+        None => *track.position_m.last()?,
     };
     Some([end_s, last_m - start_m])
 }

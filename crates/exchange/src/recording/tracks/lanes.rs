@@ -84,13 +84,12 @@ pub(super) fn orient(
     speeds_agree: bool,
 ) -> Option<(TrackPoint, usize)> {
     let votes = TrafficVotes::count(points, speeds_agree);
-    let mut signs = SpeedSigns::default();
     for (track, direction) in points
         .chunk_by_mut(|a, b| a.track == b.track)
         .zip(&votes.track_directions)
     {
         let by_speed = is_negative(track).filter(|is_negative| *is_negative);
-        for point in track.iter_mut() {
+        for point in track {
             point.position_decreases = direction
                 .or_else(|| votes.by_lane.get(&point.lane)?.majority_decreases())
                 .or(by_speed)
@@ -98,12 +97,15 @@ pub(super) fn orient(
                 .unwrap_or(false);
             point.front_m = front_m(point, reference);
         }
-        signs.add_track(track, speeds_agree);
     }
+    let is_same_interval = |a: &TrackPoint, b: &TrackPoint| (a.track, a.lane) == (b.track, b.lane);
+    let mut signs = SpeedSigns::default();
+    let own_signs: Vec<_> = points
+        .chunk_by(is_same_interval)
+        .map(|interval| signs.add(interval, speeds_agree))
+        .collect();
     let mut rolling: Option<(TrackPoint, usize)> = None;
-    for interval in points.chunk_by_mut(|a, b| (a.track, a.lane) == (b.track, b.lane)) {
-        let own_direction = track_votes(interval, speeds_agree).decreases();
-        let own_sign = own_direction.and(is_negative(interval));
+    for (interval, own_sign) in points.chunk_by_mut(is_same_interval).zip(own_signs) {
         for point in interval {
             let sign = own_sign.or_else(|| signs.of_direction(point.position_decreases));
             if let Some(speed_mps) = point.speed_mps {
@@ -143,17 +145,15 @@ fn is_negative(points: &[TrackPoint]) -> Option<bool> {
 struct SpeedSigns([DirectionVotes; 2]);
 
 impl SpeedSigns {
-    /// Counts the intervals of a track in which it moves within a lane.
-    fn add_track(&mut self, track: &[TrackPoint], speeds_agree: bool) {
-        for interval in track.chunk_by(|a, b| a.lane == b.lane) {
-            let decreases = track_votes(interval, speeds_agree).decreases();
-            if let (Some(decreases), Some(is_negative)) = (decreases, is_negative(interval)) {
-                self.0[usize::from(decreases)].add(DirectionVotes {
-                    up: usize::from(!is_negative),
-                    down: usize::from(is_negative),
-                });
-            }
-        }
+    /// Counts an interval of a track in one lane, if it moves. Returns whether its speeds are negative.
+    fn add(&mut self, interval: &[TrackPoint], speeds_agree: bool) -> Option<bool> {
+        let decreases = track_votes(interval, speeds_agree).decreases()?;
+        let is_negative = is_negative(interval)?;
+        self.0[usize::from(decreases)].add(DirectionVotes {
+            up: usize::from(!is_negative),
+            down: usize::from(is_negative),
+        });
+        Some(is_negative)
     }
 
     /// Returns whether most speeds are negative where positions change in a direction.
