@@ -46,7 +46,7 @@ MAX_ERROR_BYTES = 4096
 # Address space, so that a wrong size cannot exhaust the machine. Threads reserve far more than they use.
 MAX_ADDRESS_BYTES = 8_000_000_000
 
-# Counts that a configuration may request are below 100 or refused: the attack measures reading, not requested work.
+# As a count, each number is at most 10 or refused: the attack measures reading, not the work that a file requests.
 EDGE_NUMBERS = [
     "nan", "inf", "-inf", "-0.0", "0", "1", "-1", "0.5", "1e308", "-1e308", "1e309", "1e-320", "5e-324",
     "9223372036854775807", "-9223372036854775808", "18446744073709551616", "2147483648", "4294967295", "1e5", "1e9",

@@ -368,8 +368,7 @@ fn no_controller_contradicts_a_verdict() {
     );
     assert!(undecided.len() as u64 * 50 <= count, "{undecided:?}");
     // The multipliers of one program must spare most of the others. The mean depends on the sample: it is 23.1 programs
-    // for the first 100 scenes, 26.8 for 250 and 29.8 for 1000. A third of the scenes have many firings with nearly the
-    // same gap; these scenes reach the limit of 64 programs.
+    // for the first 100 scenes, 26.8 for 250 and 29.8 for 1000. A third of the 1000 scenes need 64 programs or more.
     let most = if count <= 100 { 25 } else { 32 };
     assert!(
         programs as u64 <= most * count,
